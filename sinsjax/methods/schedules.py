@@ -5,6 +5,7 @@ leaving the vector units' float lanes.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -36,12 +37,6 @@ class CovarianceReset(NamedTuple):
     then ``added`` times the variance that is reset to is added to each diagonal entry,
     ``added_yaw`` times for heading. So (0, 0, 1, 1) is the full reset, (1, 0, 0, 1) resets heading
     and clears its cross terms, (a, a, 0, 0) multiplies P by a, and (1, 1, 0, 0) leaves it.
-
-    Attributes:
-        keep: factor on entries of other states.
-        keep_yaw: factor on entries that touch heading.
-        added: variances added to other states.
-        added_yaw: variance added to heading.
     """
 
     keep: Scalar
@@ -55,11 +50,9 @@ UNCHANGED = CovarianceReset(1.0, 1.0, 0.0, 0.0)
 
 
 class Resets(NamedTuple):
-    """A reset schedule, [P1] section 3.2.
+    """A reset schedule, [P1] section 3.2: what a reset does, and when.
 
-    Attributes:
-        samples: (M,) counts of the samples after which P is reset, in any order; inf for none.
-        covariance_reset: effect of a reset.
+    P is reset after the ``samples``, (M,), in any order; inf for none.
     """
 
     samples: Array
@@ -87,46 +80,6 @@ class Windows(NamedTuple):
     covariance_reset: CovarianceReset
 
 
-class Due(NamedTuple):
-    """The actions due after a sample.
-
-    Attributes:
-        feedback: whether the estimate is fed back.
-        reset: whether P is reset; of a smoothed schedule, the share of a reset.
-    """
-
-    feedback: Flag
-    reset: Flag | Scalar
-
-
-def smooth_resets(params: Any, width: Any) -> Any:
-    """Return the params of a method with each reset spread over a window; themselves without any.
-
-    Args:
-        params: of any method.
-        width: see `Windows`.
-    """
-    found = False
-
-    def smooth(part: Any) -> Any:
-        nonlocal found
-        if not isinstance(part, Resets):
-            return part
-        found = True
-        samples = jnp.where(jnp.isfinite(part.samples), part.samples, _NEVER)
-        return Windows(samples, width, part.covariance_reset)
-
-    smoothed = jax.tree.map(smooth, params, is_leaf=lambda part: isinstance(part, Resets))
-    return smoothed if found else params
-
-
-_NEVER = 1e15
-"""Sample of a reset that never takes place; infinity has no derivative."""
-
-WINDOW_STRENGTH = 8.0
-"""A smoothed reset leaves exp(-8), 3e-4, of what a hard one removes."""
-
-
 class PiecewiseConstant(NamedTuple):
     """A number that is constant between given samples.
 
@@ -139,6 +92,30 @@ class PiecewiseConstant(NamedTuple):
     values: Array
 
 
+_NEVER = 1e15
+"""Sample of a reset that never takes place; infinity has no derivative."""
+
+WINDOW_STRENGTH = 8.0
+"""A smoothed reset leaves exp(-8), 3e-4, of what a hard one removes."""
+
+
+def smooth_resets(params: Any, width: Any) -> Any:
+    """Return a method's params with each reset spread over a window; themselves without any."""
+
+    def is_schedule(part: Any) -> bool:
+        return isinstance(part, Resets)
+
+    def smooth(part: Any) -> Any:
+        if not is_schedule(part):
+            return part
+        samples = jnp.where(jnp.isfinite(part.samples), part.samples, _NEVER)
+        return Windows(samples, width, part.covariance_reset)
+
+    if not any(map(is_schedule, jax.tree.leaves(params, is_leaf=is_schedule))):
+        return params
+    return jax.tree.map(smooth, params, is_leaf=is_schedule)
+
+
 def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
     """Return whether P is reset after the n-th sample; of a smoothed schedule, the share."""
     if isinstance(resets, Windows):
@@ -147,33 +124,6 @@ def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
     for sample in resets.samples:
         due = due | (n == sample)
     return due
-
-
-def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
-    """Return the sample of the first feedback or reset after the n-th sample.
-
-    Args:
-        feedback_at: sample of the next feedback.
-        resets: reset schedule.
-        n: number of a sample.
-    """
-    ahead = jnp.where(resets.samples > n, resets.samples, jnp.inf)
-    return jnp.minimum(jnp.ceil(feedback_at), jnp.min(ahead, initial=jnp.inf))
-
-
-def next_feedback(feedback: FeedbackSchedule, feedback_at: Scalar, due: Due, n: Scalar) -> Scalar:
-    """Return the sample of the next feedback after the loop was closed at the n-th sample.
-
-    Args:
-        feedback: its schedule.
-        feedback_at: sample of the next feedback before that.
-        due: the actions at the n-th sample.
-        n: number of that sample.
-    """
-    later = jnp.where(due.feedback, feedback_at + feedback.every, feedback_at)
-    if feedback.restarts is None:
-        return later
-    return jnp.where(due.reset & (feedback.restarts > 0), n + feedback.every, later)
 
 
 def _window_share(windows: Windows, n: Scalar) -> Scalar:
@@ -186,6 +136,25 @@ def _window_share(windows: Windows, n: Scalar) -> Scalar:
     return 1 - left
 
 
+def next_due(feedback_at: Scalar, resets: Resets, n: Scalar) -> Scalar:
+    """Return the sample of the first feedback or reset after the n-th sample."""
+    ahead = jnp.where(resets.samples > n, resets.samples, jnp.inf)
+    return jnp.minimum(jnp.ceil(feedback_at), jnp.min(ahead, initial=jnp.inf))
+
+
+def next_feedback(
+    feedback: FeedbackSchedule, feedback_at: Scalar, reset: Flag | Scalar, n: Scalar
+) -> Scalar:
+    """Return when the next feedback after the n-th sample is; before that it was ``feedback_at``.
+
+    Both are counts of samples, and may lie between two.
+    """
+    later = jnp.where(n >= feedback_at, feedback_at + feedback.every, feedback_at)
+    if feedback.restarts is None:
+        return later
+    return jnp.where(reset & (feedback.restarts > 0), n + feedback.every, later)
+
+
 def interpolate(share: Array, one: Array | float, other: Array | float) -> Array:
     """Return ``one`` if a flag is set, else ``other``; for a share, the weighted mean of both."""
     if jnp.issubdtype(jnp.result_type(share), bool):
@@ -193,22 +162,16 @@ def interpolate(share: Array, one: Array | float, other: Array | float) -> Array
     return other + share * (one - other)
 
 
-def reset_covariance(
-    covariance_reset: CovarianceReset,
-    p: Triangle,
-    to: tuple[Scalar, ...],
-    *,
-    heading: Sequence[int],
-) -> Triangle:
-    """Return P after a reset.
+def reset_if_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
+    """Return the reset if it is due, else the one that leaves P unchanged; or between them."""
+    return CovarianceReset(*map(partial(interpolate, due), covariance_reset, UNCHANGED))
 
-    Args:
-        covariance_reset: effect of the reset.
-        p: covariance of n states.
-        to: n variances that a full reset sets.
-        heading: state numbers of heading.
-    """
-    keep, keep_yaw, new, new_yaw = covariance_reset
+
+def reset_covariance(
+    effect: CovarianceReset, p: Triangle, to: Sequence[Scalar], heading: Sequence[int]
+) -> Triangle:
+    """Return P after a reset, given the variances that it resets to and the heading's states."""
+    keep, keep_yaw, new, new_yaw = effect
     out = list(p)
     for (i, j), k in triangle_index(len(to)).items():
         if i <= j:
@@ -216,13 +179,6 @@ def reset_covariance(
         if i == j:
             out[k] = out[k] + (new_yaw if i in heading else new) * to[i]
     return tuple(out)
-
-
-def reset_if_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
-    """Return the reset if it is due, else the one that leaves P unchanged; or between them."""
-    return CovarianceReset(
-        *(interpolate(due, a, b) for a, b in zip(covariance_reset, UNCHANGED, strict=True))
-    )
 
 
 def value_at(number: PiecewiseConstant, n: Scalar) -> Scalar:

@@ -5,6 +5,7 @@ any azimuth and a tilt of any size; e is the shortest rotation of the true verti
 (-t_N, t_E, u_z), to z.
 """
 
+from itertools import combinations_with_replacement
 from typing import Any
 
 import jax.numpy as jnp
@@ -31,9 +32,8 @@ def corrected_attitude(state: Any) -> Quat:
 def misalignment_covariance(state: Any) -> AttitudeCovariance:
     """Return the covariance of phi, rad^2: `Filter.covariance`."""
     at = triangle_index(len(state.belief.x))
-    return AttitudeCovariance(
-        *(state.belief.p[at[i, j]] for i in _ANGLES for j in _ANGLES if i <= j)
-    )
+    pairs = combinations_with_replacement(_ANGLES, 2)
+    return AttitudeCovariance(*(state.belief.p[at[pair]] for pair in pairs))
 
 
 def shortest_rotation(tilt_e: Scalar, tilt_n: Scalar) -> Quat:
@@ -45,30 +45,26 @@ def shortest_rotation(tilt_e: Scalar, tilt_n: Scalar) -> Quat:
 
 def rotation_about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
     """Return Rz(a) for the angle with this sine and cosine."""
-    ahead = cosine >= 0
     # The larger of cos(a/2) and |sin(a/2)| by a root, the other from sin a.
     larger = jnp.sqrt((1 + jnp.abs(cosine)) / 2)
     smaller = jnp.abs(sine) / (2 * larger)
-    side = jnp.where(sine < 0, -1.0, 1.0)
+    ahead, side = cosine >= 0, jnp.where(sine < 0, -1.0, 1.0)
+    w, z = jnp.where(ahead, larger, smaller), side * jnp.where(ahead, smaller, larger)
     zero = jnp.zeros_like(sine)
-    return Quat(
-        jnp.where(ahead, larger, smaller), zero, zero, side * jnp.where(ahead, smaller, larger)
-    )
+    return Quat(w, zero, zero, z)
 
 
 def rotation_from_tilt(tilt_e: Scalar, tilt_n: Scalar, sine: Scalar, cosine: Scalar) -> Quat:
     """Return Rz(a) e of a tilt and the sine and cosine of an azimuth."""
-    return rotations.multiply(
-        rotation_about_vertical(sine, cosine), shortest_rotation(tilt_e, tilt_n)
-    )
+    turn = rotation_about_vertical(sine, cosine)
+    return rotations.multiply(turn, shortest_rotation(tilt_e, tilt_n))
 
 
 def rotate_covariance(
     covariance: AttitudeCovariance, sine: Scalar, cosine: Scalar
 ) -> AttitudeCovariance:
     """Return the covariance of the misalignment in n from that of tilt (in n') and azimuth."""
-    ee, en, eu, nn, nu, uu = covariance
-    c, s = cosine, sine
+    (ee, en, eu, nn, nu, uu), c, s = covariance, cosine, sine
     return AttitudeCovariance(
         ee=c * c * ee - 2 * c * s * en + s * s * nn,
         en=c * s * (ee - nn) + (c * c - s * s) * en,

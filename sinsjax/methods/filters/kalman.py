@@ -7,44 +7,28 @@ zeros never enter the program. P is kept as its upper triangle, so it is symmetr
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from sinsjax.maths.algebra import (
-    Entries,
-    Triangle,
-    congruence,
-    diagonal_triangle,
-    times_plus_identity,
-    triangle_index,
-)
+from sinsjax.maths import algebra
+from sinsjax.maths.algebra import Entries, Triangle, triangle_index
 from sinsjax.types import Scalar
 
 
 class Belief(NamedTuple):
-    """A filter's estimate: mean and covariance of n states.
-
-    Attributes:
-        x: n means.
-        p: upper triangle of the covariance, n (n + 1) / 2 entries.
-    """
+    """A filter's estimate: the mean of its states, and their covariance P."""
 
     x: tuple[Scalar, ...]
     p: Triangle
 
 
 class Innovation(NamedTuple):
-    """Measured minus predicted values.
-
-    Attributes:
-        value: one per measurement.
-        variance: upper triangle of its covariance S = H P H' + R, m (m + 1) / 2 entries.
-    """
+    """Measured minus predicted values, and their covariance S = H P H' + R."""
 
     value: tuple[Scalar, ...]
-    variance: tuple[Scalar, ...]
+    variance: Triangle
 
 
 def initial_belief(variances: Sequence[Scalar]) -> Belief:
     """Return zero means with a diagonal covariance."""
-    return Belief(tuple(0.0 * v for v in variances), diagonal_triangle(variances))
+    return Belief(tuple(0.0 * v for v in variances), algebra.diagonal_triangle(variances))
 
 
 def predict(belief: Belief, transition: Entries, q: Sequence[Scalar]) -> Belief:
@@ -59,16 +43,15 @@ def predict(belief: Belief, transition: Entries, q: Sequence[Scalar]) -> Belief:
 
 
 def propagate(belief: Belief, transition: Entries) -> Belief:
-    """Predict over one step without process noise; arguments as of `predict`."""
-    p = congruence(transition, belief.p, len(belief.x))
-    return Belief(times_plus_identity(transition, belief.x), p)
+    """Predict over one step without process noise."""
+    p = algebra.congruence(transition, belief.p, len(belief.x))
+    return Belief(algebra.times_plus_identity(transition, belief.x), p)
 
 
 def add_noise(belief: Belief, q: Sequence[Scalar]) -> Belief:
-    """Add the process noise of one step; arguments as of `predict`."""
-    n = len(belief.x)
-    p, at = list(belief.p), triangle_index(n)
-    for i in range(n):
+    """Add the process noise of one step."""
+    p, at = list(belief.p), triangle_index(len(belief.x))
+    for i in range(len(belief.x)):
         p[at[i, i]] = p[at[i, i]] + q[i]
     return Belief(belief.x, tuple(p))
 
@@ -85,25 +68,16 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
         z: measured values.
         r: variance of each measurement.
     """
-    n = len(belief.x)
-    x, p = belief
+    (x, p), n = belief, len(belief.x)
+    at = triangle_index(n)
     for m, value in zip(measured, z, strict=True):
-        column, inverse, p = _process_measurement(p, m, r, n)
+        column = [p[at[i, m]] for i in range(n)]
+        inverse = 1 / (column[m] + r)
+        gain = [c * inverse for c in column]
+        p = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
         innovation = (value - x[m]) * inverse
         x = tuple(x[i] + column[i] * innovation for i in range(n))
     return Belief(x, p)
-
-
-def _process_measurement(
-    p: Triangle, m: int, r: Scalar, n: int
-) -> tuple[list[Scalar], Scalar, Triangle]:
-    """Return a measured state's column of P, 1 / its innovation variance, and the updated P."""
-    at = triangle_index(n)
-    column = [p[at[i, m]] for i in range(n)]
-    inverse = 1 / (column[m] + r)
-    gain = [c * inverse for c in column]
-    after = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
-    return column, inverse, after
 
 
 def innovation(
@@ -119,6 +93,6 @@ def innovation(
 
 
 def normalised_innovation_squared(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:
-    """Return the normalised innovation squared r' S^-1 r of two measurements; see `Innovation`."""
+    """Return r' S^-1 r of an innovation r of two measurements."""
     (e, n), (ee, en, nn) = value, variance
     return (nn * e * e - 2 * en * e * n + ee * n * n) / (ee * nn - en * en)

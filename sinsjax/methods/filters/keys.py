@@ -5,6 +5,7 @@ P0, Q and R; resets of P, by a schedule or a trigger. `params` makes numbers of 
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -12,33 +13,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
+from sinsjax import value_types as vt
 from sinsjax.columns import Column
 from sinsjax.methods.filters.loop import Filter, closed_loop
 from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
-from sinsjax.value_types import (
-    ROUNDING,
-    AccelNoise,
-    AccelSigma,
-    AngleSigma,
-    Band,
-    Count,
-    Factor,
-    GyroNoise,
-    GyroSigma,
-    GyroWalk,
-    HeadingSigma,
-    KeyCondition,
-    KeyInfo,
-    NonNegative,
-    Positive,
-    Seconds,
-    SecondsOrZero,
-    Section,
-    SpeedSigma,
-    Times,
-    keys_of,
-)
+from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo, Section, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
@@ -47,45 +27,45 @@ _DEFAULT_R = 0.1
 class FilterSection(Section):
     """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
 
-    p0_velocity_m_per_s: SpeedSigma = Field(
+    p0_velocity_m_per_s: vt.SpeedSigma = Field(
         0.1, description="initial sigma of east and north velocity errors, m/s"
     )
-    p0_level_deg: AngleSigma = Field(
+    p0_level_deg: vt.AngleSigma = Field(
         15.0, description="initial sigma of level errors about east and north, deg"
     )
-    p0_yaw_deg: HeadingSigma = Field(80.0, description="initial sigma of heading, deg")
-    p0_gyro_bias_deg_per_h: GyroSigma = Field(
+    p0_yaw_deg: vt.HeadingSigma = Field(80.0, description="initial sigma of heading, deg")
+    p0_gyro_bias_deg_per_h: vt.GyroSigma = Field(
         0.1, description="initial sigma of each gyro's bias, deg/h"
     )
-    p0_accel_bias_ug: AccelSigma = Field(
+    p0_accel_bias_ug: vt.AccelSigma = Field(
         500.0, description="initial sigma of each level accelerometer's bias, ug"
     )
-    q_accel_ug: AccelNoise | None = Field(
+    q_accel_ug: vt.AccelNoise | None = Field(
         None,
         description="process noise of velocity errors, ug; per sqrt(Hz) with q_reading = 'psd';"
         " default: that of the accelerometers in [sensors]",
     )
-    q_gyro_deg_per_h: GyroNoise | None = Field(
+    q_gyro_deg_per_h: vt.GyroNoise | None = Field(
         None,
         description="process noise of misalignments, deg/h; per sqrt(Hz) with q_reading = 'psd';"
         " default: that of the gyros in [sensors]",
     )
     q_accel_ug_per_sqrt_hz: Annotated[
-        AccelNoise | None, KeyInfo(alternative_to="q_accel_ug", factor=1.0)
+        vt.AccelNoise | None, KeyInfo(alternative_to="q_accel_ug", factor=1.0)
     ] = Field(
         None,
         description="process noise density of velocity errors, ug/sqrt(Hz); alternative to"
         " q_accel_ug with q_reading = 'psd'",
     )
     q_gyro_deg_per_h_per_sqrt_hz: Annotated[
-        GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=1.0)
+        vt.GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=1.0)
     ] = Field(
         None,
         description="process noise density of misalignments, deg/h/sqrt(Hz); alternative to"
         " q_gyro_deg_per_h with q_reading = 'psd'",
     )
     q_gyro_arw_deg_per_sqrt_h: Annotated[
-        GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=60.0)
+        vt.GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=60.0)
     ] = Field(
         None,
         description="angle random walk, deg/sqrt(h), a sixtieth of the number in"
@@ -97,7 +77,7 @@ class FilterSection(Section):
         " 'per_sample': sigma of one sample. 'per_step': sigma added per filter step, as"
         " in paper 1; at 100 Hz a hundred times that of 'per_sample'",
     )
-    r_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
+    r_velocity_m_per_s: Annotated[vt.SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
         None,
         description="sigma r of the zero-velocity measurement, m/s; per sqrt(Hz) with r_reading ="
         " 'psd'. If omitted, methods without [surge] add the surge density 2 s^2 T, s"
@@ -108,10 +88,10 @@ class FilterSection(Section):
         description="'per_update': the variance R of an update is r squared. 'psd': r squared /"
         " sample time",
     )
-    q_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+    q_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on the variance Q; default 1"
     )
-    r_scale: Annotated[Factor | None, KeyInfo(same_as=1.0)] = Field(
+    r_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = Field(
         None, description="factor on the variance R; default 1"
     )
 
@@ -129,12 +109,7 @@ def accel_noise_density(
 ) -> float | None:
     """Return the density of the noisiest accelerometer's white noise, ug/sqrt(Hz).
 
-    None if the study gives no noise, or draws it.
-
-    Args:
-        rate_hz: samples per second.
-        accel_noise_ug: standard deviation of a sample, of all axes or each.
-        accel_vrw_ug_per_sqrt_hz: density, likewise.
+    None if the study gives neither the noise of a sample nor a density, or draws them.
     """
     return _noise_density(rate_hz, accel_noise_ug, accel_vrw_ug_per_sqrt_hz, 1.0)
 
@@ -147,13 +122,11 @@ def gyro_noise_density(
 
 
 def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float) -> float | None:
-    if density is not None:
-        return _noisiest_axis(density) * factor
-    return None if per_sample is None else _noisiest_axis(per_sample) / rate_hz**0.5
-
-
-def _noisiest_axis(noise: float | tuple[float, ...]) -> float:
-    return max(noise) if isinstance(noise, tuple) else noise
+    noise = per_sample if density is None else density
+    if noise is None:
+        return None
+    noisiest = max(noise) if isinstance(noise, tuple) else noise
+    return noisiest / rate_hz**0.5 if density is None else noisiest * factor
 
 
 class ProcessNoise(NamedTuple):
@@ -163,7 +136,7 @@ class ProcessNoise(NamedTuple):
         key: of its first form.
         sensors: their name in messages.
         density: (samples per second, keys of [sensors]) -> density of their white noise, in the
-            unit of ``key`` under 'psd'; see `accel_noise_density`.
+            unit of ``key`` under 'psd'.
     """
 
     key: str
@@ -181,11 +154,7 @@ GYRO_NOISE = ProcessNoise("q_gyro_deg_per_h", "gyros", gyro_noise_density)
 
 
 def level_surge(surge: Any) -> float:
-    """Return the larger rms velocity of the surge along east and north, m/s.
-
-    Args:
-        surge: value of surge_m_per_s, of all axes or along east, north, up; None for no surge.
-    """
+    """Return the larger rms velocity of the surge along east and north, m/s; 0 without a surge."""
     axes = surge[:2] if isinstance(surge, tuple | list) else (surge or 0.0,)
     return max(abs(float(value)) for value in axes)
 
@@ -195,12 +164,8 @@ def surge_density(surge_m_per_s: Any, surge_time_s: float | None) -> float:
 
     2 s^2 T: that of a first-order Gauss-Markov velocity at zero frequency, and of a 'third_order'
     one at 1/(2 pi T) Hz. The latter falls to zero at both ends, since its position is bounded; a
-    bandwidth B raises it by a factor of 1 + b/(1 + b^2), b = 2 pi B T, which is left out.
-
-    Args:
-        surge_m_per_s: rms velocity s of all axes or along east, north, up; the larger one along
-            east and north counts. None for a base of unknown surge, which has 0.
-        surge_time_s: correlation time T; None as for ``surge_m_per_s``.
+    bandwidth B raises it by a factor of 1 + b/(1 + b^2), b = 2 pi B T, which is left out. T is the
+    correlation time, s the larger rms velocity along east and north; a base of unknown surge has 0.
     """
     if surge_m_per_s is None or surge_time_s is None:
         return 0.0
@@ -216,16 +181,7 @@ def update_variance(
     surge_m_per_s: Any = None,
     surge_time_s: float | None = None,
 ) -> Scalar:
-    """Return the variance R of an update, (m/s)^2.
-
-    Args:
-        rate_hz: samples per second.
-        r_velocity_m_per_s: None for the default, which follows the surge.
-        r_reading: as the key.
-        r_scale: None for 1.
-        surge_m_per_s: see `surge_density`.
-        surge_time_s: see `surge_density`.
-    """
+    """Return the variance R of an update, (m/s)^2, from the keys; the default follows the surge."""
     dt = 1 / rate_hz
     sigma = _DEFAULT_R if r_velocity_m_per_s is None else r_velocity_m_per_s
     variance = sigma * sigma / (dt if r_reading == "psd" else 1.0)
@@ -246,6 +202,10 @@ def _is_reset(times: Sequence[float] | None, count: int | None, trigger: str | N
     return bool(times or count or has_trigger(trigger))
 
 
+def _is_reset_with(values: Sequence[Any], value: Any, *resets: Any) -> bool:
+    return value in values and _is_reset(*resets)
+
+
 def _needs_cycle(count: int | None, first_s: float | None) -> bool:
     return (count or 0) > (0 if first_s is None else 1)
 
@@ -254,11 +214,12 @@ _RESETS = ("reset_times_s", "reset_count", "reset_trigger")
 """Keys that decide whether P is reset at all, in the order of `_is_reset`."""
 
 _TRIGGERED = (
-    "trigger_threshold",
-    "trigger_window_s",
-    "trigger_refractory_s",
-    "trigger_most",
-    "trigger_until_s",
+    *("trigger_threshold", "trigger_window_s", "trigger_refractory_s"),
+    *("trigger_most", "trigger_until_s"),
+)
+_FULL_RESET = (
+    *("reset_velocity_m_per_s", "reset_level_deg"),
+    *("reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
 )
 
 
@@ -276,30 +237,14 @@ class ResetsSection(Section):
         KeyCondition(("reset_first_s",), ("reset_count",), bool),
         KeyCondition(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
         KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
-        KeyCondition(
-            ("reset_restarts_feedback",),
-            ("reset_at_feedback", *_RESETS),
-            lambda at_feedback, *resets: not at_feedback and _is_reset(*resets),
-        ),
-        KeyCondition(
-            ("reset_scale",),
-            ("reset_kind", *_RESETS),
-            lambda kind, *resets: kind == "scale" and _is_reset(*resets),
-        ),
-        KeyCondition(
-            ("reset_yaw_deg",),
-            ("reset_kind", *_RESETS),
-            lambda kind, *resets: kind != "scale" and _is_reset(*resets),
-        ),
-        KeyCondition(
-            (
-                "reset_velocity_m_per_s",
-                "reset_level_deg",
-                "reset_gyro_bias_deg_per_h",
-                "reset_accel_bias_ug",
-            ),
-            ("reset_kind", *_RESETS),
-            lambda kind, *resets: kind == "full" and _is_reset(*resets),
+        *(
+            KeyCondition(keys, (other, *_RESETS), partial(_is_reset_with, values))
+            for keys, other, values in (
+                (("reset_restarts_feedback",), "reset_at_feedback", (False,)),
+                (("reset_scale",), "reset_kind", ("scale",)),
+                (("reset_yaw_deg",), "reset_kind", ("full", "yaw")),
+                (_FULL_RESET, "reset_kind", ("full",)),
+            )
         ),
     )
 
@@ -309,48 +254,45 @@ class ResetsSection(Section):
         " schedule, or 'none'. 'innovation': normalised squared sum of innovations in a"
         " window. 'linearisation': heading knowledge in excess of a base at rest; default 'none'",
     )
-    trigger_threshold: NonNegative | None = Field(
-        None,
-        description="score above which P is reset; required with a trigger",
+    trigger_threshold: vt.NonNegative | None = Field(
+        None, description="score above which P is reset; required with a trigger"
     )
-    trigger_window_s: Annotated[Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")] = (
-        Field(None, description="window of 'innovation', s; default 10")
-    )
+    trigger_window_s: Annotated[
+        vt.Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")
+    ] = Field(None, description="window of 'innovation', s; default 10")
     trigger_refractory_s: Annotated[
-        SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
+        vt.SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
     ] = Field(
         None, description="shortest time from start or any reset to a triggered reset, s; default 5"
     )
     trigger_most: Annotated[
-        Annotated[Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
+        Annotated[vt.Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
     ] = Field(None, description="most triggered resets per run; default 10")
-    trigger_until_s: Annotated[Seconds | None, KeyInfo(time="s")] = Field(
+    trigger_until_s: Annotated[vt.Seconds | None, KeyInfo(time="s")] = Field(
         None, description="end of triggered resets, s; default: no limit"
     )
     schedule: Literal["times", "none", "law", "trigger"] = Field(
         "times",
         description="'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets."
-        " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see"
-        " the page reset_law. 'trigger': reset_trigger alone, by default 'linearisation'"
-        " with threshold 1.2",
+        " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see the page reset_law."
+        " 'trigger': reset_trigger alone, by default 'linearisation' with threshold 1.2",
     )
-    heading_bound_deg: Annotated[Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
+    heading_bound_deg: Annotated[vt.Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
         150.0, description="largest initial heading error that 'law' settles, deg"
     )
-    settle_band_arcmin: Band = Field(
+    settle_band_arcmin: vt.Band = Field(
         10.0, description="heading error to which 'law' settles, arcmin"
     )
-    reset_count: Annotated[Count | None, KeyInfo(default=0)] = Field(
+    reset_count: Annotated[vt.Count | None, KeyInfo(default=0)] = Field(
         None, description="number of scheduled resets; default 0"
     )
-    reset_cycle_s: Seconds | None = Field(
-        None,
-        description="interval of reset_count resets, s; not needed for one at reset_first_s",
+    reset_cycle_s: vt.Seconds | None = Field(
+        None, description="interval of reset_count resets, s; not needed for one at reset_first_s"
     )
-    reset_first_s: Seconds | None = Field(
+    reset_first_s: vt.Seconds | None = Field(
         None, description="time of the first of reset_count resets, s; default: the cycle"
     )
-    reset_times_s: Annotated[Times | None, KeyInfo(whole="sample", merged=True)] = Field(
+    reset_times_s: Annotated[vt.Times | None, KeyInfo(whole="sample", merged=True)] = Field(
         None, description="times of scheduled resets, s; alternative to reset_count"
     )
     reset_at_feedback: bool = Field(
@@ -364,25 +306,25 @@ class ResetsSection(Section):
         description="'full': variances become the values below, covariances zero. 'yaw': the same"
         " for heading only. 'scale': P is multiplied by reset_scale",
     )
-    reset_scale: Factor = Field(10.0, description="factor on P with 'scale'")
-    reset_velocity_m_per_s: Annotated[SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")] = (
-        Field(
-            None,
-            description="sigma of velocity errors after a reset, m/s; default: P0, at least 1"
-            " m/s with 'law'",
-        )
+    reset_scale: vt.Factor = Field(10.0, description="factor on P with 'scale'")
+    reset_velocity_m_per_s: Annotated[
+        vt.SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")
+    ] = Field(
+        None,
+        description="sigma of velocity errors after a reset, m/s; default: P0, at least 1"
+        " m/s with 'law'",
     )
-    reset_level_deg: Annotated[AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
+    reset_level_deg: Annotated[vt.AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
         None, description="sigma of level errors after a reset, deg; default: P0"
     )
-    reset_yaw_deg: Annotated[HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
+    reset_yaw_deg: Annotated[vt.HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
         None, description="sigma of heading after a reset, deg; default: P0"
     )
     reset_gyro_bias_deg_per_h: Annotated[
-        GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
+        vt.GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
     ] = Field(None, description="sigma of each gyro's bias after a reset, deg/h; default: P0")
-    reset_accel_bias_ug: Annotated[AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = Field(
-        None, description="sigma of each accelerometer's bias after a reset, ug; default: P0"
+    reset_accel_bias_ug: Annotated[vt.AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = (
+        Field(None, description="sigma of each accelerometer's bias after a reset, ug; default: P0")
     )
 
 
@@ -432,11 +374,9 @@ def any_trigger(study: StudyKeys) -> bool:
 
 
 def find_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
-    """Return the first setting of resets that has no gradient, as ``[section] key``; or None.
+    """Return the first setting of resets without a gradient, as ``[section] key``; or None.
 
-    Args:
-        study: checked study.
-        smoothed: whether each reset is spread over a window.
+    Smoothed, each reset is spread over a window.
     """
     if any_trigger(study):
         return "[resets] reset_trigger"
@@ -517,36 +457,29 @@ def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
 # Columns, and what all filters have
 
 
-def _triggered_count(results: Any, rate_hz: float) -> NDArray:
+def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
+    """Return the number of resets by a trigger, or the time of one, s; NaN for none."""
     counts = results.trigger_counts
-    return np.asarray(0.0 if counts is None else counts.count)
+    number = np.asarray(0.0 if counts is None else getattr(counts, which))
+    return number if which == "count" else np.where(number > 0, number / rate_hz, np.nan)
 
 
-def _triggered_s(which: str, results: Any, rate_hz: float) -> NDArray:
-    """Return the time of the first or the last reset by a trigger, s; NaN for none."""
-    counts = results.trigger_counts
-    sample = np.asarray(0.0 if counts is None else getattr(counts, which))
-    return np.where(sample > 0, sample / rate_hz, np.nan)
-
-
-def _is_recorded(study: StudyKeys) -> bool:
-    return study.is_recorded  # a simulation has the truth to be judged by
-
+_is_recorded = attrgetter("is_recorded")  # a simulation has the truth to be judged by
 
 FILTER_COLUMNS = (
     OwnColumn(
         Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
-        _triggered_count,
-        0.0,
-        any_trigger,
+        partial(_triggered, "count"),
+        missing=0.0,
+        applies_to=any_trigger,
     ),
     *(
         OwnColumn(
-            Column(f"triggered_{name}_s", pa.float64(), "s", meaning),
-            partial(_triggered_s, name),
+            Column(f"triggered_{which}_s", pa.float64(), "s", meaning),
+            partial(_triggered, which),
             applies_to=any_trigger,
         )
-        for name, meaning in (
+        for which, meaning in (
             ("first", "time of the first of them; null for none"),
             ("last", "time of the last of them; null for none"),
         )
@@ -595,12 +528,7 @@ LOOP_KEYS = (
 
 
 def filter_method(*, build: Callable[[Options], Filter], **parts: Any) -> Method:
-    """Return the method of a filter in closed loop.
-
-    Args:
-        build: builds its stages.
-        parts: other fields of `Method`; by default those of a filter without sensor bias states.
-    """
+    """Return the method of a filter in closed loop, by default one without sensor bias states."""
     usual = {
         "sections": {"filter": FilterSection, "resets": ResetsSection},
         "reads": LOOP_KEYS,

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from sinsjax.maths.algebra import Entries, Triangle, add, change_signs, select_tree
+from sinsjax.maths.algebra import Entries, add, change_signs, select_tree
+from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
 from sinsjax.methods.filters.attitude import (
     corrected_attitude,
@@ -19,32 +20,11 @@ from sinsjax.methods.filters.attitude import (
     misalignment_covariance,
 )
 from sinsjax.methods.filters.kalman import Belief, Innovation
-from sinsjax.methods.filters.triggers import TRIGGERS, Trigger, TriggerCounts
-from sinsjax.methods.method import (
-    AttitudeCovariance,
-    Feedback,
-    Options,
-    Passes,
-    Program,
-    Site,
-)
-from sinsjax.methods.schedules import (
-    CovarianceReset,
-    Due,
-    FeedbackSchedule,
-    Resets,
-    Windows,
-    interpolate,
-    next_due,
-    next_feedback,
-    reset_covariance,
-    reset_due,
-    reset_if_due,
-)
+from sinsjax.methods.method import AttitudeCovariance, Feedback, Options, Passes, Program, Site
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import VE, VN
-from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 
 class InnovationSum(NamedTuple):
@@ -55,41 +35,37 @@ class InnovationSum(NamedTuple):
 
 
 class FilterResults(NamedTuple):
-    """Basis of a filter's own result columns.
+    """Basis of a filter's own result columns; None for what it does not have.
 
     Attributes:
-        trigger_counts: resets by its trigger; None without one.
-        innovations: sum of its innovations; None if they are not summed.
-        extra: basis of the columns of this filter alone; None if the filter has none.
+        extra: basis of the columns of this filter alone.
     """
 
-    trigger_counts: TriggerCounts | None
+    trigger_counts: triggers.TriggerCounts | None
     innovations: InnovationSum | None
     extra: Any = None
 
 
 class FilterParams(NamedTuple):
-    """Numbers of a filter: its belief and its schedules.
+    """Numbers of a filter: variances of its states, SI squared, and its schedules.
 
     Attributes:
-        p0: initial variances of the states, SI squared.
-        q: variances added to the states each sample, SI squared.
+        p0: variances at the start.
+        q: variances added each sample.
         r: variance of each velocity measurement, (m/s)^2.
-        feedback: when and how much is fed back.
-        resets: when and how P is reset.
-        reset_to: variances that a full reset sets, SI squared.
+        reset_to: variances that a full reset sets.
         reversal: effect of a direction reversal on P.
         trigger: `triggers.TriggerParams`; None without a trigger.
-        extra: numbers of this filter alone; None if the filter has none.
+        extra: numbers of this filter alone; None if it has none.
     """
 
     p0: tuple[Scalar, ...]
     q: tuple[Scalar, ...]
     r: Scalar
-    feedback: FeedbackSchedule
-    resets: Resets | Windows
+    feedback: schedules.FeedbackSchedule
+    resets: schedules.Resets | schedules.Windows
     reset_to: tuple[Scalar, ...]
-    reversal: CovarianceReset
+    reversal: schedules.CovarianceReset
     trigger: Any = None
     extra: Any = None
 
@@ -98,13 +74,12 @@ class FilterState(NamedTuple):
     """A filter between two samples.
 
     Attributes:
-        nav: navigation solution.
-        belief: estimated errors of ``nav`` and of the sensors, with covariance.
+        belief: estimated errors of the solution ``nav`` and of the sensors, with covariance.
         bias: sensor biases fed back so far, one per bias state, SI.
         feedback_at: sample of the next feedback.
         trigger_state: `triggers.TriggerState`; None without a trigger.
         innovations: their sum so far; None if they are not summed.
-        extra: state of this filter alone; None if the filter has none.
+        extra: state of this filter alone; None if it has none.
     """
 
     nav: Navigation
@@ -168,11 +143,11 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
         correct: (state, sample) -> sample without the biases found; None if none are.
-        extra_results: (site, state) -> `FilterResults.extra`; None if the filter has none.
-        shares_covariance: see `Program.shares_covariance`.
+        extra_results: (site, state) -> `FilterResults.extra`.
+        shares_covariance: see `Program`.
         keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution; None if the filter keeps nothing.
-        gyro_bias: see `Passes.gyro_bias`.
+            the navigation solution.
+        gyro_bias: see `Passes`.
     """
 
     predict: Callable[[Any, Any, Place, Vec3], Any]
@@ -186,15 +161,15 @@ class Filter(NamedTuple):
     attitude: Callable[[Any], Quat] = corrected_attitude
     covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
     correct: Callable[[Any, Sample], Sample] | None = None
-    extra_results: Callable[[Site, Any], Any] | None = None
+    extra_results: Callable[[Site, Any], Any] = lambda site, state: None
     shares_covariance: bool = False
-    keep: Callable[[Any, Any], Any] | None = None
+    keep: Callable[[Any, Any], Any] = lambda first, last: first
     gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 def closed_loop(filter_: Filter, options: Options) -> Program:
     """Return the program of a filter that feeds back and resets P on schedule or by a trigger."""
-    trigger = None if options.trigger == "none" else TRIGGERS[options.trigger]
+    trigger = None if options.trigger == "none" else triggers.TRIGGERS[options.trigger]
     loop = _ClosedLoop(filter_, options, trigger)
     return Program(
         init=loop.init,
@@ -203,17 +178,8 @@ def closed_loop(filter_: Filter, options: Options) -> Program:
         covariance=filter_.covariance,
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
-        feedback=Feedback(
-            close=loop.close,
-            next_event=_next_event,
-            triggered=None if trigger is None else _fired,
-        ),
-        passes=Passes(
-            reverse=loop.reverse,
-            rewind=loop.rewind,
-            begin_after=_begin_after,
-            gyro_bias=filter_.gyro_bias,
-        ),
+        feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
+        passes=Passes(loop.reverse, loop.rewind, _begin_after, filter_.gyro_bias),
     )
 
 
@@ -222,7 +188,7 @@ class _ClosedLoop(NamedTuple):
 
     filter: Filter
     options: Options
-    trigger: Trigger | None
+    trigger: triggers.Trigger | None
 
     def init(self, params: Any, nav: Navigation) -> Any:
         state = self.filter.init(params, nav)
@@ -234,83 +200,22 @@ class _ClosedLoop(NamedTuple):
             state = state._replace(trigger_state=started)
         return state
 
-    def step(self, params: Any, site: Site, state: Any, sample: Sample, n: Scalar) -> Any:
-        before, dt, here = state, self.options.dt, self.options.place(site, state.nav)
+    def step(self, params: Any, site: Site, before: Any, sample: Sample, n: Scalar) -> Any:
+        dt, here = self.options.dt, self.options.place(site, before.nav)
         if self.filter.correct is not None:
-            sample = self.filter.correct(state, sample)
-        nav, f_dt = mechanisation.advance_navigation(state.nav, sample, here, dt)
+            sample = self.filter.correct(before, sample)
+        nav, f_dt = mechanisation.advance_navigation(before.nav, sample, here, dt)
         if self.options.position == "integrated":
             nav = mechanisation.advance_position(nav, here, dt)
-        predicted = self.filter.predict(params, state, here, f_dt)  # [P1] eqs (8) and (9)
+        predicted = self.filter.predict(params, before, here, f_dt)  # [P1] eqs (8) and (9)
         belief = kalman.add_noise(predicted.belief, params.q)
-        state = predicted._replace(nav=nav, belief=belief)
-        state, innovation = self.filter.update(params, state)
+        state, innovation = self.filter.update(params, predicted._replace(nav=nav, belief=belief))
         if self.options.innovations:
             total, count = state.innovations
             total = total + kalman.normalised_innovation_squared(*innovation)
             state = state._replace(innovations=InnovationSum(total, count + 1))
-        if self.trigger is not None:
-            state = self._update_trigger(params, site, before, state, innovation, n)
-        return state
-
-    def close(self, params: Any, state: Any, n: Scalar) -> Any:
-        due = Due(n >= state.feedback_at, reset_due(params.resets, n))
-        if self.trigger is not None:
-            due = due._replace(reset=due.reset | _fired(state, n))
-        closed, correction = self._feed_back_and_reset(params, state, due, n)
-        if self.trigger is not None:
-            closed = triggers.update_after_closing(
-                self.trigger, params, closed, reset=due.reset, correction=correction, n=n
-            )
-        return _where_due(due, closed, state)
-
-    def reverse(self, params: Any, site: Site, state: Any) -> Any:
-        # x stays even if P is reset: its part of the attitude is the filter's best either way.
-        state = self.filter.reverse(state)
-        p = self._reset(params.reversal, state.belief.p, params.p0)
-        return self._begin_pass(params, state._replace(belief=state.belief._replace(p=p)))
-
-    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
-        # All knowledge of the solution's errors is in the solution; P is that of a start.
-        first = self.filter.init(params, nav)
-        kept = first if self.filter.keep is None else self.filter.keep(first, state)
-        kept = kept._replace(
-            feedback_at=state.feedback_at,
-            innovations=state.innovations,
-            trigger_state=state.trigger_state,
-        )
-        return self._begin_pass(params, kept)
-
-    def results(self, site: Site, state: Any) -> FilterResults:
-        extra = self.filter.extra_results
-        return FilterResults(
-            None if self.trigger is None else state.trigger_state.trigger_counts,
-            state.innovations,
-            None if extra is None else extra(site, state),
-        )
-
-    def _feed_back_and_reset(
-        self, params: Any, state: Any, due: Due, n: Scalar
-    ) -> tuple[Any, Vec3]:
-        """Feed back, all of the estimate before a reset, and reset; also the correction, rad."""
-        share = interpolate(due.reset, 1.0, jnp.where(due.feedback, params.feedback.gain, 0.0))
-        corrected, correction = self.filter.feed_back(state, share)
-        covariance_reset = reset_if_due(due.reset, params.resets.covariance_reset)
-        p = self._reset(covariance_reset, state.belief.p, params.reset_to)
-        feedback_at = next_feedback(params.feedback, state.feedback_at, due, n)
-        belief = corrected.belief._replace(p=p)
-        return corrected._replace(belief=belief, feedback_at=feedback_at), correction
-
-    def _reset(
-        self, covariance_reset: CovarianceReset, p: Triangle, to: tuple[Scalar, ...]
-    ) -> Triangle:
-        return reset_covariance(covariance_reset, p, to, heading=self.filter.heading)
-
-    def _update_trigger(
-        self, params: Any, site: Site, before: Any, state: Any, innovation: Innovation, n: Scalar
-    ) -> Any:
-        """Return the state with the sample taken into account by the trigger."""
-        assert self.trigger is not None
+        if self.trigger is None:
+            return state
         not_fed_back = self.filter.misalignment(state)
         snapshot = triggers.FilterSnapshot(
             innovation=innovation,
@@ -318,36 +223,61 @@ class _ClosedLoop(NamedTuple):
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,
             covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
-            at_rest=self.filter.at_rest(before, self.options.place(site, before.nav)),
+            at_rest=self.filter.at_rest(before, here),
         )
         return triggers.update_trigger(self.trigger, params, state, snapshot, n)
 
-    def _begin_pass(self, params: Any, state: Any) -> Any:
-        """Return the first state of a pass, with the trigger's memory of the last one cleared."""
-        if self.trigger is None:
-            return state
-        return triggers.begin_pass(
-            self.trigger, params, state, misalignment=self.filter.misalignment(state)
+    def close(self, params: Any, state: Any, n: Scalar) -> Any:
+        feeds_back, resets = n >= state.feedback_at, schedules.reset_due(params.resets, n)
+        if self.trigger is not None:
+            resets = resets | triggers.fired(state, n)
+        # Before a reset, all of the estimate is fed back.
+        gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
+        share = schedules.interpolate(resets, 1.0, gain)
+        closed, correction = self.filter.feed_back(state, share)
+        effect, heading = params.resets.covariance_reset, self.filter.heading
+        effect = schedules.reset_if_due(resets, effect)
+        p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, heading)
+        closed = closed._replace(
+            belief=closed.belief._replace(p=p),
+            feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
+        if self.trigger is not None:
+            closed = triggers.update_after_closing(
+                self.trigger, params, closed, reset=resets, correction=correction, n=n
+            )
+        if isinstance(params.resets, schedules.Windows):
+            return closed  # a share of a reset is due at every sample
+        # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
+        return select_tree(feeds_back | resets, closed, state)
+
+    def reverse(self, params: Any, site: Site, state: Any) -> Any:
+        # x stays even if P is reset: its part of the attitude is the filter's best either way.
+        state = self.filter.reverse(state)
+        p, heading = state.belief.p, self.filter.heading
+        p = schedules.reset_covariance(params.reversal, p, params.p0, heading)
+        state = state._replace(belief=state.belief._replace(p=p))
+        return triggers.begin_pass(self.trigger, params, state, self.filter.misalignment(state))
+
+    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
+        # All knowledge of the solution's errors is in the solution; P is that of a start.
+        first = self.filter.keep(self.filter.init(params, nav), state)
+        first = first._replace(
+            feedback_at=state.feedback_at,
+            innovations=state.innovations,
+            trigger_state=state.trigger_state,
+        )
+        return triggers.begin_pass(self.trigger, params, first, self.filter.misalignment(first))
+
+    def results(self, site: Site, state: Any) -> FilterResults:
+        counts = None if self.trigger is None else state.trigger_state.trigger_counts
+        return FilterResults(counts, state.innovations, self.filter.extra_results(site, state))
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
-    if isinstance(params.resets, Windows):
+    if isinstance(params.resets, schedules.Windows):
         return None  # a share of a reset is due at every sample
-    return next_due(state.feedback_at, params.resets, n)
-
-
-def _fired(state: Any, n: Scalar) -> Flag:
-    return triggers.fired(state.trigger_state, n)
-
-
-def _where_due(due: Due, closed: Any, state: Any) -> Any:
-    """Return the closed state if anything is due, else the state unchanged to the bit."""
-    if not jnp.issubdtype(jnp.result_type(due.reset), bool):
-        return closed  # a share of a reset is due at every sample
-    # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
-    either = due.feedback | due.reset
-    return select_tree(either, closed, state)
+    return schedules.next_due(state.feedback_at, params.resets, n)
 
 
 def _begin_after(state: Any, n: Scalar) -> Any:

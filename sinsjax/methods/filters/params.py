@@ -7,16 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.methods.filters.keys import (
-    ACCEL_NOISE,
-    GYRO_NOISE,
-    RESET_KEYS,
-    ProcessNoise,
-    acting_reset_times,
-    has_trigger,
-    q_unit_factors,
-    update_variance,
-)
+from sinsjax.methods.filters import keys as filter_keys
+from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, ProcessNoise
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.filters.triggers import TriggerParams
 from sinsjax.methods.method import StudyKeys
@@ -26,41 +18,28 @@ from sinsjax.value_types import keys_of
 
 
 class StateKind(NamedTuple):
-    """The keys of [filter] and [resets] for one kind of state.
+    """What [filter] and [resets] say of one kind of state.
 
     Attributes:
-        p0: key of its initial standard deviation; None if ``variance`` gives that.
-        reset_to: key of its standard deviation after a reset.
+        name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
+            reset; None if ``variance`` gives both.
         unit: of both keys in SI; None for a micro-g.
         q: its process noise; None of a constant state.
-        variance: its variance at the start and after a reset, if no key gives them.
     """
 
-    p0: str | None
-    reset_to: str | None
+    name: str | None
     unit: float | None
     q: ProcessNoise | None
     variance: float = 0.0
 
 
-VELOCITY = StateKind("p0_velocity_m_per_s", "reset_velocity_m_per_s", 1.0, ACCEL_NOISE)
-LEVEL = StateKind("p0_level_deg", "reset_level_deg", DEG, GYRO_NOISE)
-HEADING = StateKind("p0_yaw_deg", "reset_yaw_deg", DEG, GYRO_NOISE)
-DIRECTION = StateKind(None, None, 1.0, GYRO_NOISE, variance=0.5)
+VELOCITY = StateKind("velocity_m_per_s", 1.0, ACCEL_NOISE)
+LEVEL = StateKind("level_deg", DEG, GYRO_NOISE)
+HEADING = StateKind("yaw_deg", DEG, GYRO_NOISE)
+DIRECTION = StateKind(None, 1.0, GYRO_NOISE, variance=0.5)
 """Sine or cosine of an unknown heading: all headings are equally likely."""
-ACCEL_BIAS = StateKind("p0_accel_bias_ug", "reset_accel_bias_ug", None, None)
-GYRO_BIAS = StateKind("p0_gyro_bias_deg_per_h", "reset_gyro_bias_deg_per_h", DEG_PER_H, None)
-
-_COVARIANCE_RESETS: dict[str, tuple[float | None, ...]] = {
-    # keep, keep_yaw, added, added_yaw; None for the factor that the study gives
-    "full": (0.0, 0.0, 1.0, 1.0),
-    "yaw": (1.0, 0.0, 0.0, 1.0),
-    "scale": (None, None, 0.0, 0.0),
-    "carried": UNCHANGED,
-    "inflated": (None, None, 0.0, 0.0),
-    "reset": (0.0, 0.0, 1.0, 1.0),
-}
-"""Effect on P by the names of ``reset_kind`` and ``turn_covariance``."""
+ACCEL_BIAS = StateKind("accel_bias_ug", None, None)
+GYRO_BIAS = StateKind("gyro_bias_deg_per_h", DEG_PER_H, None)
 
 
 def filter_params(
@@ -75,32 +54,33 @@ def filter_params(
         models_surge: whether other states model the surge, so that R does not follow it.
     """
     zero = np.zeros(keys.count)
+
+    def variances(when: str) -> list[Any]:
+        return [
+            zero + kind.variance
+            if kind.name is None
+            else keys.column(f"{when}_{kind.name}", kind.unit or keys.micro_g) ** 2
+            for kind in states
+        ]
+
+    p0, after = variances("p0"), variances("reset")
     q_scale = keys.compute(lambda scale: 1.0 if scale is None else scale, "q_scale")
     q = {
-        noise: _process_noise(keys, noise, unit) * q_scale
-        for noise, unit in ((ACCEL_NOISE, keys.micro_g), (GYRO_NOISE, DEG_PER_H))
+        ACCEL_NOISE: _process_noise(keys, ACCEL_NOISE, keys.micro_g) * q_scale,
+        GYRO_NOISE: _process_noise(keys, GYRO_NOISE, DEG_PER_H) * q_scale,
     }
-    units = [keys.micro_g if kind.unit is None else kind.unit for kind in states]
-    p0 = [
-        np.full(keys.count, kind.variance) if kind.p0 is None else keys.column(kind.p0, unit) ** 2
-        for kind, unit in zip(states, units, strict=True)
-    ]
-    # Left out, a reset sets P as at the start.
-    reset_to = [
-        start
-        if kind.reset_to is None
-        else _replace_nan(keys.column(kind.reset_to, unit) ** 2, start, xp)
-        for kind, unit, start in zip(states, units, p0, strict=True)
-    ]
     reads_surge = keys.has("motion") and not models_surge
-    of_r = keys_of(update_variance)[: None if reads_surge else 3]
+    of_r = keys_of(filter_keys.update_variance)[: None if reads_surge else 3]
     return FilterParams(
         p0=tuple(p0),
         q=tuple(zero if kind.q is None else q[kind.q] for kind in states),
-        r=keys.compute(partial(update_variance, keys.rate_hz), *of_r),
+        r=keys.compute(partial(filter_keys.update_variance, keys.rate_hz), *of_r),
         feedback=_feedback_schedule(keys, xp),
         resets=_reset_schedule(keys),
-        reset_to=tuple(reset_to),
+        # Left out, a reset sets P as at the start.
+        reset_to=tuple(
+            xp.where(xp.isnan(to), start, to) for to, start in zip(after, p0, strict=True)
+        ),
         reversal=_covariance_reset(keys, "turn_covariance", "turn_inflation")
         if keys.has("passes")
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
@@ -108,26 +88,15 @@ def filter_params(
     )
 
 
-def _replace_nan(given: Any, default: Any, xp: Any) -> Any:
-    """Return numbers, or the default where a key is left out."""
-    return xp.where(xp.isnan(given), default, given)
-
-
 def level_settling_s(
     rate_hz: float, p0_velocity_m_per_s: float, p0_level_deg: float, r: float
 ) -> float:
     """Return the time in which the standard deviation of level falls to a tenth of its P0, s.
 
-    In that time a level error phi is a slope g phi of the velocity, measured with R at each sample.
-    The information on it after n samples is 1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and
-    S2 the sums of g t and (g t)^2: from a large p_v it grows as g^2 t^3 / (12 R dt). Q is left out,
-    since its effect comes later.
-
-    Args:
-        rate_hz: samples per second.
-        p0_velocity_m_per_s: initial standard deviation of the velocity errors, m/s.
-        p0_level_deg: initial standard deviation of level, deg.
-        r: variance R of an update, (m/s)^2.
+    In that time a level error phi is a slope g phi of the velocity, measured with variance R,
+    (m/s)^2, at each sample. The information on it after n samples is
+    1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and S2 the sums of g t and (g t)^2: from a
+    large p_v it grows as g^2 t^3 / (12 R dt). Q is left out, since its effect comes later.
     """
     dt = 1 / rate_hz
     step = STANDARD_GRAVITY * dt
@@ -143,7 +112,7 @@ def level_settling_s(
 
 def _process_noise(keys: StudyKeys, noise: ProcessNoise, unit: float) -> Any:
     """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
-    forms, readings = noise.forms, q_unit_factors(1 / keys.rate_hz)
+    forms, readings = noise.forms, filter_keys.q_unit_factors(1 / keys.rate_hz)
     given = next((form for form in forms if keys.common(form) is not None), None)
     if given is None:
         white = keys.compute(partial(noise.density, keys.rate_hz), *keys_of(noise.density))
@@ -153,8 +122,8 @@ def _process_noise(keys: StudyKeys, noise: ProcessNoise, unit: float) -> Any:
 
 
 def _trigger_params(keys: StudyKeys) -> TriggerParams | None:
-    """Return the params of the triggers; None without one."""
-    if not has_trigger(keys.common("reset_trigger")):
+    """Return the params of the trigger; None without one."""
+    if not filter_keys.has_trigger(keys.common("reset_trigger")):
         return None
     rate_hz = keys.rate_hz
     until = keys.compute(lambda time: np.inf if time is None else time, "trigger_until_s")
@@ -179,8 +148,8 @@ def _feedback_schedule(keys: StudyKeys, xp: Any) -> FeedbackSchedule:
 
 
 def _reset_schedule(keys: StudyKeys) -> Resets:
-    times_s = keys.lists(partial(acting_reset_times, keys.rate_hz), *RESET_KEYS, padding=np.inf)
-    samples = times_s * keys.rate_hz
+    acting = partial(filter_keys.acting_reset_times, keys.rate_hz)
+    samples = keys.lists(acting, *filter_keys.RESET_KEYS, padding=np.inf) * keys.rate_hz
     if isinstance(samples, np.ndarray):  # traced, a window moves with its time
         samples = np.round(samples)
     return Resets(samples, _covariance_reset(keys, "reset_kind", "reset_scale"))
@@ -193,7 +162,11 @@ def _flags_or_none(keys: StudyKeys, key: str) -> Any:
 
 
 def _covariance_reset(keys: StudyKeys, kind: str, factor: str) -> CovarianceReset:
-    def numbers(name: str, given: Any) -> list[Any]:
-        return [given if number is None else number for number in _COVARIANCE_RESETS[name]]
+    """Return the effects on P of ``reset_kind`` or ``turn_covariance``."""
+
+    def numbers(name: str, given: Any) -> Sequence[Any]:
+        full, scaled = (0.0, 0.0, 1.0, 1.0), (given, given, 0.0, 0.0)
+        kinds = {"full": full, "yaw": (1.0, 0.0, 0.0, 1.0), "scale": scaled}
+        return {**kinds, "carried": UNCHANGED, "inflated": scaled, "reset": full}[name]
 
     return CovarianceReset(*keys.compute(numbers, kind, factor).T)

@@ -14,7 +14,7 @@ import numpy as np
 
 from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
 from sinsjax.methods.filters import kalman
-from sinsjax.methods.filters.kalman import Belief, Innovation, normalised_innovation_squared
+from sinsjax.methods.filters.kalman import Belief, Innovation
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.strapdown.error_model import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
@@ -22,15 +22,9 @@ from sinsjax.units import DEG
 
 
 class TriggerParams(NamedTuple):
-    """Numbers of a trigger; times in samples.
+    """Numbers of the keys ``trigger_...`` of [resets], times in samples, and whether resets wait.
 
-    Attributes:
-        threshold: score above which P is reset.
-        window: length of the window that scores are summed over.
-        refractory: shortest time from the start, or from a reset, to a reset by the trigger.
-        most: largest number of resets in a run.
-        until: last sample after which the trigger may reset.
-        at_feedback: 1 if a reset waits for the next feedback, else 0; None if it waits in no run.
+    ``at_feedback`` is 1 if one waits for the next feedback, else 0; None if it waits in no run.
     """
 
     threshold: Scalar
@@ -42,13 +36,7 @@ class TriggerParams(NamedTuple):
 
 
 class TriggerCounts(NamedTuple):
-    """Resets by a trigger in a run.
-
-    Attributes:
-        count: number of resets.
-        first: sample of the first of them, 0 for none.
-        last: sample of the last of them, 0 for none.
-    """
+    """Resets by a trigger in a run: their number, and samples of the first and last, 0 for none."""
 
     count: Scalar
     first: Scalar
@@ -59,10 +47,8 @@ class TriggerState(NamedTuple):
     """A trigger between two samples.
 
     Attributes:
-        memory: of the trigger.
         fed_back: attitude corrections fed back since the last reset or direction reversal, less
             the estimate before that reversal, rad.
-        trigger_counts: its resets so far.
         last_reset: sample of the last reset of any kind.
         pending: whether a reset waits for feedback; None if none ever waits.
     """
@@ -78,8 +64,7 @@ class FilterSnapshot(NamedTuple):
     """The filter after the update of a sample, as a trigger sees it.
 
     Attributes:
-        innovation: measured minus predicted velocity, m/s, and its believed covariance.
-        belief: after the update.
+        innovation: of the velocity, m/s.
         correction: of the attitude since the last reset or direction reversal: fed back, and
             estimated but not yet fed back, rad.
         not_fed_back: the latter part, rad.
@@ -150,23 +135,17 @@ def update_trigger(
     return state._replace(trigger_state=after)
 
 
-def fired(trigger_state: TriggerState, n: Scalar) -> Flag:
-    """Return whether the trigger called for a reset after the n-th sample."""
-    return trigger_state.trigger_counts.last == n
+def fired(state: Any, n: Scalar) -> Flag:
+    """Return whether a filter's trigger called for a reset after the n-th sample."""
+    return state.trigger_state.trigger_counts.last == n
 
 
 def update_after_closing(
     trigger: Trigger, params: Any, state: Any, *, reset: Flag, correction: Vec3, n: Scalar
 ) -> Any:
-    """Return a filter's state after the loop was closed at the n-th sample.
+    """Return a filter's state with its loop closed at the n-th sample, P reset or not.
 
-    Args:
-        trigger: the trigger.
-        params: of the filter.
-        state: with the loop closed.
-        reset: whether P was reset.
-        correction: attitude correction that was fed back, rad.
-        n: number of the sample.
+    The correction is that of the attitude that was fed back, rad.
     """
     before = state.trigger_state
     cleared = trigger.start(params.trigger, state.belief.p)
@@ -179,13 +158,15 @@ def update_after_closing(
     return state._replace(trigger_state=after)
 
 
-def begin_pass(trigger: Trigger, params: Any, state: Any, *, misalignment: Vec3) -> Any:
-    """Return a filter's first state of a pass, with its trigger's memory cleared.
+def begin_pass(trigger: Trigger | None, params: Any, state: Any, misalignment: Vec3) -> Any:
+    """Return a filter's first state of a pass, with the memory of its trigger, if any, cleared.
 
     The counts of resets continue. A reset that still waits for feedback is forgotten with the
     memory that called for it. What is estimated and not yet fed back, the misalignment in rad, is
     no correction of this pass.
     """
+    if trigger is None:
+        return state
     before = state.trigger_state
     after = before._replace(
         memory=trigger.start(params.trigger, state.belief.p),
@@ -217,8 +198,7 @@ def _score_innovation(params: Any, block: _Block, snapshot: FilterSnapshot) -> t
     terms = *snapshot.innovation.value, *snapshot.innovation.variance
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
-    e, n, *s = sums
-    score = normalised_innovation_squared((e, n), s)
+    score = kalman.normalised_innovation_squared(sums[:2], sums[2:])
     return _Block(count, sums), jnp.where(count >= window, score, 0.0)
 
 
@@ -246,15 +226,18 @@ def _score_linearisation(
     * (d - sin d)^2 / (P_UU + (4 deg)^2): what a heading correction d since the last reset left
       out, since the tilt that reveals heading goes with sin d; up to 30 deg it is little.
     """
+
+    def weight(level: Vec3) -> Scalar:
+        return jnp.minimum(1.0, (level.x**2 + level.y**2) / _SMALL_LEVEL**2)
+
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
     honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, params.q)
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
     done, left = snapshot.correction, snapshot.not_fed_back
-    known = _weight_of_level(done.x, done.y) * (p_star.uu / believed - 1)
-    jump = _weight_of_level(left.x, left.y)
-    jump = jump * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
+    known = weight(done) * (p_star.uu / believed - 1)
+    jump = weight(left) * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
     left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
     return honest.p, jnp.sqrt(1 + known + jump + left_out)
 
@@ -270,11 +253,6 @@ def _sine(angle: Scalar) -> Scalar:
     for n in range(19, 0, -2):
         series = series * square + (-1) ** (n // 2) / math.factorial(n)
     return series * folded
-
-
-def _weight_of_level(east: Scalar, north: Scalar) -> Scalar:
-    """Return the weight of a level angle: its square over `_SMALL_LEVEL` squared, at most 1."""
-    return jnp.minimum(1.0, (east**2 + north**2) / _SMALL_LEVEL**2)
 
 
 TRIGGERS = {
