@@ -379,8 +379,7 @@ def build_sensors(static: Static, environment: Environment, draws: Draw) -> Draw
     rotation = None
     if static.rewinds_attitude:
         zero = jnp.zeros((), environment.dtype)
-        estimates_bias = passes.estimates_gyro_bias(build_program(static))
-        rotation = passes.identity_rotation(zero, with_bias=estimates_bias)
+        rotation = passes.initial_rotation(build_program(static), zero)
     return DrawSensors(
         dt=static.options.dt,
         program=static.sensors,

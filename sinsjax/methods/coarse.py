@@ -4,8 +4,7 @@ It returns the attitude at the *end* of an interval, from which fine alignment c
 must not travel; no initial attitude is needed. `align_analytically` needs a base that does not sway
 either; on all others any method that finds north without a start serves, see `align_by_program`.
 
-Constant sensor biases remain: phi_E = -nabla_N/g, phi_N = nabla_E/g and phi_U = -eps_E/omega_N +
-(nabla_E/g) tan L.
+Constant sensor biases leave the misalignment of `floors.bias_floor`.
 """
 
 from typing import Any
@@ -15,33 +14,24 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import scale
 from sinsjax.maths.rotations import exp, log, rotate
-from sinsjax.methods.least_squares import earth_rate
+from sinsjax.methods.least_squares import ZERO, earth_rate
 from sinsjax.methods.method import Program, Site
-from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Array, Navigation, Quat, Sample, Scalar
 
 
 def align_analytically(samples: Sample, site: Site, dt: float) -> Quat:
-    """Return the attitude of a *static* base from mean specific force and mean angular rate.
+    """Return q_nb of a *static* base, not at a pole, from compensated samples, leaves (n,), n >= 1.
 
-    The two mean vectors are gravity's reaction and the Earth rate; level comes from the first, yaw
-    from the second (TRIAD). Any rotation of the base enters the mean rate undiminished: 0.01 deg
-    over 60 s is 2.8 deg of yaw at 34 deg latitude, and a parked vehicle with people in it is off
-    by tens of degrees. On a rigid mount it is the better one: accelerometer noise hardly
-    enters yaw, and white gyro noise of standard deviation s a sample (as a rate) leaves
-    s / (sqrt(n) omega_N).
-
-    Args:
-        samples: compensated samples of the whole interval, leaves (n,), n >= 1.
-        site: not at a pole, where the Earth's turn shows no north.
-        dt: sample time, s.
-
-    Returns:
-        q_nb at the end of the samples: their mean attitude, since it should not change.
+    The mean specific force is gravity's reaction, the mean angular rate that of the Earth; level
+    comes from the first, yaw from the second (TRIAD). Any rotation of the base enters the mean rate
+    undiminished: 0.01 deg over 60 s is 2.8 deg of yaw at 34 deg latitude, and a parked vehicle with
+    people in it is off by tens of degrees. On a rigid mount it is the better one: accelerometer
+    noise hardly enters yaw, and white gyro noise of standard deviation s a sample (as a rate)
+    leaves s / (sqrt(n) omega_N).
     """
     rate, up = earth_rate(site.place), site.place.gravity * dt
     # A sample's dv is seen from the body at its start; on average it turned half a step since.
-    half = exp(scale(0.5 * dt, rate))
-    reaction = rotate(half, Vec3(jnp.zeros_like(up), jnp.zeros_like(up), up))
+    reaction = rotate(exp(scale(0.5 * dt, rate)), ZERO._replace(z=up))
     turns = jax.vmap(log)(samples.turn)
     felt = jnp.stack([jnp.stack(rows).mean(axis=1) for rows in (samples.dv, turns)])
     return triad_attitude(felt, jnp.stack([jnp.stack(reaction), jnp.stack(rate)]))

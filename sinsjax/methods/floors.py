@@ -51,9 +51,10 @@ class BiasFloor(NamedTuple):
 NO_BIASES = MeanBiases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
 
 _PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
-_SIGNS = np.array([-1.0, 0.0, 1.0])
+_MODES = np.stack(np.meshgrid(*[np.array([-1.0, 0.0, 1.0])] * 3, indexing="ij"))
+"""Signs s with which each angle enters the modes, (3 angles, 3, 3, 3)."""
 _FROM_MODES = np.array([[0, 1, 0], [0.5, 0, 0.5], [0.5j, 0, -0.5j]])
-"""1, cosine and sine of an angle x from exp(i s x) for the `_SIGNS` s."""
+"""1, cosine and sine of an angle x from exp(i s x)."""
 
 
 def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
@@ -76,22 +77,20 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
 def mean_attitude(motion: Motion) -> Array:
     """Return the mean of C_b^n over the motion, ``(..., 3, 3)``, see `mean_biases`."""
     xp: Any = jnp if any(isinstance(a, jax.Array) for a in jax.tree.leaves(motion)) else np
-    periods = [sway.period for sway in motion.angles]
+    first, second, third = (sway.period for sway in motion.angles)
     # Angles of one period share the phase of the first that has it.
-    second = xp.where(periods[1] == periods[0], 0, 1)
-    third = xp.where(periods[2] == periods[1], second, 2)
-    phase_of = (xp.asarray(0), second, xp.where(periods[2] == periods[0], 0, third))
+    phase_of_third = xp.where(third == first, 0, xp.where(third == second, 1, 2))
+    phase_of = (xp.asarray(0), xp.where(second == first, 0, 1), phase_of_third)
+    angles = [*zip(_MODES, motion.angles, phase_of, strict=True)]
     modes: Any = 1.0
     for phase in range(3):
         swing: Any = 0.0
-        for axis, (sway, phase_number) in enumerate(zip(motion.angles, phase_of, strict=True)):
+        for signs, sway, number in angles:
             angle = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
-            angle = xp.where((phase_number == phase)[..., None], angle, 0.0)
-            swing = swing + _mode_signs(axis)[..., None] * angle[..., None, None, None, :]
+            angle = xp.where((number == phase)[..., None], angle, 0.0)
+            swing = swing + signs[..., None] * angle[..., None, None, None, :]
         modes = modes * xp.exp(1j * swing.astype(complex)).mean(-1)
-    center: Any = 0.0
-    for axis, sway in enumerate(motion.angles):
-        center = center + _mode_signs(axis) * sway.center[..., None, None, None]
+    center = sum(signs * sway.center[..., None, None, None] for signs, sway, _ in angles)
     modes = modes * xp.exp(1j * center.astype(complex))
     mean = xp.einsum("pa,rb,yc,...abc->...pry", *[_FROM_MODES] * 3, modes).real
     one, cos, sin = range(3)  # of pitch, roll and yaw
@@ -107,11 +106,6 @@ def mean_attitude(motion: Motion) -> Array:
         mean[..., cos, cos, one],
     ]
     return xp.stack(rows, -1).reshape(*mean.shape[:-3], 3, 3)
-
-
-def _mode_signs(axis: int) -> np.ndarray:
-    """Return the signs with which one angle enters the modes, broadcast over (3, 3, 3)."""
-    return _SIGNS.reshape([3 if one == axis else 1 for one in range(3)])
 
 
 def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasFloor:
@@ -132,6 +126,6 @@ def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasF
     turn = heading - jnp.arctan2(east, north)
     zero = jnp.zeros_like(turn)
     true = Quat(zero + 1, zero, zero, zero)
-    settled = misalign(Vec3(zero, zero, turn), misalign(tilt, true))
-    tilt_bound = largest_nabla / place.gravity
-    return BiasFloor(misalignment(true, settled), tilt_bound, eps.x**2 + eps.y**2 > place.rate_n**2)
+    phi = misalignment(true, misalign(Vec3(zero, zero, turn), misalign(tilt, true)))
+    no_north = eps.x**2 + eps.y**2 > place.rate_n**2
+    return BiasFloor(phi, largest_nabla / place.gravity, no_north)

@@ -36,8 +36,8 @@ against a smoother on the same record; and [P1]'s swing and sensor noise, 100 dr
 | `coarse.align_analytically` | 14 | 64 | 68 |
 """
 
-from collections.abc import Callable
 from functools import partial
+from operator import mul
 from typing import Any, NamedTuple
 
 import jax
@@ -46,50 +46,20 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, scale, select_tree
 from sinsjax.methods.coarse import triad_attitude
-from sinsjax.methods.least_squares import (
-    NO_POSITIONS,
-    NO_VELOCITIES,
-    add_position,
-    add_velocity,
-    earth_rate,
-    fit_positions,
-    fit_velocities,
-)
-from sinsjax.methods.method import Method, Options, Program, Site
+from sinsjax.methods.least_squares import POSITION_FIT, VELOCITY_FIT, ZERO, Fit, earth_rate
+from sinsjax.methods.method import Method, Options, Program, Site, normalise_solution
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class InertialState(NamedTuple):
-    """A run between two samples.
+    """A run between two samples."""
 
-    Attributes:
-        nav: initial solution, which is the result before the first sample.
-        body: C_{b(t)}^{b0}.
-        earth_turn: rotation vector -w_ie t of C_{n0}^{n(t)}, rad.
-        sums: of velocities, positions or forces, as the method needs them.
-        count: samples so far.
-    """
-
-    nav: Navigation
-    body: Quat
-    earth_turn: Vec3
-    sums: Any
-    count: Scalar
-
-
-class Fit(NamedTuple):
-    """A rotation from sums over samples.
-
-    Attributes:
-        start: sums before the first sample, of zeros.
-        add_sample: (sums, velocity increment in b0, place, n, dt) -> sums.
-        solve: (sums, samples so far) -> C_{b0}^{n0}.
-    """
-
-    start: Any
-    add_sample: Callable[[Any, Vec3, Place, Scalar, float], Any]
-    solve: Callable[[Any, Scalar], Quat]
+    nav: Navigation  # initial solution, which is the result before the first sample
+    body: Quat  # C_{b(t)}^{b0}
+    earth_turn: Vec3  # rotation vector -w_ie t of C_{n0}^{n(t)}, rad
+    sums: Any  # of velocities, positions or forces, as the method needs them
+    count: Scalar  # samples so far
 
 
 def build(fit: Fit, options: Options) -> Program:
@@ -118,32 +88,21 @@ def build(fit: Fit, options: Options) -> Program:
         q = rotations.multiply(rotations.exp(state.earth_turn), q)
         return select_tree(state.count > 0, q, state.nav.q)
 
-    return Program(init, step, attitude, _normalise)
+    def normalise(state: InertialState) -> InertialState:
+        return normalise_solution(state)._replace(body=rotations.normalise(state.body))
 
-
-def _normalise(state: InertialState) -> InertialState:
-    nav = state.nav._replace(q=rotations.normalise(state.nav.q))
-    return state._replace(nav=nav, body=rotations.normalise(state.body))
+    return Program(init, step, attitude, normalise)
 
 
 class ForceSums(NamedTuple):
     """Sums of m, m^2 and m^3 times the change of a vector, m from mid-sample to mid-sample.
 
     Of whole vectors the rounding of the sums would leave 1e-10 rad of heading.
-
-    Attributes:
-        first: velocity increment of the first sample in b0, m/s.
-        measured: of increments in b0 less the first, m/s.
-        expected: of the vertical in n0 less the one at the start.
     """
 
-    first: Vec3
-    measured: tuple[Vec3, ...]
-    expected: tuple[Vec3, ...]
-
-
-_ZERO = Vec3(0.0, 0.0, 0.0)
-_NO_FORCES = ForceSums(_ZERO, (_ZERO,) * 3, (_ZERO,) * 3)
+    first: Vec3  # velocity increment of the first sample in b0, m/s
+    measured: tuple[Vec3, ...]  # of increments in b0 less the first, m/s
+    expected: tuple[Vec3, ...]  # of the vertical in n0 less the one at the start
 
 
 def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
@@ -171,15 +130,15 @@ def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
 
     def weigh(start: Array, totals: tuple[Vec3, ...]) -> Array:
         powers = [jnp.stack(scale((2 / n) ** k, t)) for k, t in enumerate(totals, start=1)]
-        mean, slope = (
-            sum(c * power for c, power in zip(weight, powers, strict=True))
-            for weight in (_MEAN, _SLOPE)
-        )
+        mean, slope = (sum(map(mul, weight, powers)) for weight in (_MEAN, _SLOPE))
         return jnp.stack([total * start + mean, slope])
 
     up = jnp.array([0.0, 0.0, 1.0])
     return triad_attitude(weigh(jnp.stack(sums.first), sums.measured), weigh(up, sums.expected))
 
+
+_NO_FORCES = ForceSums(ZERO, (ZERO,) * 3, (ZERO,) * 3)
+_FORCE_FIT = Fit(_NO_FORCES, _add_force, _fit_mean_and_slope)
 
 _method = partial(Method, needs_start=False, turning="many")
 
@@ -187,7 +146,7 @@ OPTIMISATION = _method(
     name="optimisation",
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
-    build=partial(build, Fit(NO_VELOCITIES, add_velocity, fit_velocities)),
+    build=partial(build, VELOCITY_FIT),
     step_s=3e-9,
 )
 
@@ -195,7 +154,7 @@ OPTIMISATION_POSITION = _method(
     name="optimisation_position",
     summary="the same of integrated positions, from an unknown velocity: for a base that surges",
     source="`methods.least_squares`",
-    build=partial(build, Fit(NO_POSITIONS, add_position, fit_positions)),
+    build=partial(build, POSITION_FIT),
     step_s=4e-9,
 )
 
@@ -203,6 +162,6 @@ INERTIAL = _method(
     name="inertial",
     summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see `methods.inertial_frame`",
-    build=partial(build, Fit(_NO_FORCES, _add_force, _fit_mean_and_slope)),
+    build=partial(build, _FORCE_FIT),
     step_s=5e-9,
 )

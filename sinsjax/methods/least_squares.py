@@ -1,9 +1,9 @@
 """Least squares of integrated specific forces: sums over samples, and the rotation they give.
 
 C_{b0}^{n0} rotates the velocities alpha, the integral of C_b^{b0} f, closest to beta, the integral
-of gravity's reaction: Davenport's matrix of the sum of beta alpha'. This assumes a base that starts
-at rest. On one that surges every alpha is off by the velocity v(0) of the first sample, which costs
-more than all that follows. The fit of positions uses a and b, sums of alpha and beta:
+of gravity's reaction, of a base that starts at rest. On one that surges every alpha is off by the
+velocity v(0) of the first sample, which costs more than all that follows. The fit of positions uses
+a and b, sums of alpha and beta:
 
     C a_n - b_n = (s_n - s_0)/dt - n v(0) + noise.
 
@@ -18,7 +18,8 @@ the matrix is 2 x 2.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from operator import mul
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -30,6 +31,16 @@ from sinsjax.types import Quat, Scalar, Vec3
 def earth_rate(place: Place) -> Vec3:
     """Return w_ie in n, rad/s."""
     return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
+
+
+class Fit(NamedTuple):
+    """C_{b0}^{n0} from sums over samples."""
+
+    start: Any  # sums before the first sample, of zeros
+    add_sample: Callable[[Any, Vec3, Place, Scalar, float], Any]
+    """(sums, velocity increment in b0, m/s, place, n, dt, s) -> sums with the n-th sample."""
+    solve: Callable[[Any, Scalar], Quat]
+    """(sums, samples so far) -> C_{b0}^{n0}."""
 
 
 def reaction_velocity(place: Place, t: Scalar) -> Vec3:
@@ -46,25 +57,17 @@ def reaction_velocity(place: Place, t: Scalar) -> Vec3:
 
 
 class PairSums(NamedTuple):
-    """Sums over pairs of vectors, y in b0 and x in n0, of which C_{b0}^{n0} rotates y to x.
+    """Sums over pairs of vectors, y in b0 and x in n0, of which C_{b0}^{n0} rotates y to x."""
 
-    Attributes:
-        products: rows of the sum of x y'.
-        weight: half the sum of |x|^2 + |y|^2, an upper bound of the largest eigenvalue.
-    """
-
-    products: tuple[Vec3, Vec3, Vec3]
-    weight: Scalar
+    products: tuple[Vec3, ...]  # rows of the sum of x y'
+    weight: Scalar  # half the sum of |x|^2 + |y|^2, an upper bound of the largest eigenvalue
 
 
-def _add_pair(sums: PairSums, x: Vec3, y: Vec3) -> PairSums:
-    weight = sums.weight + 0.5 * (dot(y, y) + dot(x, x))
-    return PairSums(_add_product(sums.products, x, y), weight)
-
-
-def _add_product(products: tuple[Vec3, Vec3, Vec3], x: Vec3, y: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    east, north, up = (add(row, scale(entry, y)) for row, entry in zip(products, x, strict=True))
-    return east, north, up
+def _add_pair(sums: PairSums, x: Vec3, y: Vec3, divisor: Scalar = 1.0) -> PairSums:
+    """Return the sums with a pair of weight 1/divisor."""
+    rows = zip(sums.products, scale(1 / divisor, x), strict=True)
+    weight = sums.weight + 0.5 * (dot(y, y) + dot(x, x)) / divisor
+    return PairSums(tuple(add(row, scale(entry, y)) for row, entry in rows), weight)
 
 
 class VelocitySums(NamedTuple):
@@ -74,63 +77,46 @@ class VelocitySums(NamedTuple):
     pairs: PairSums
 
 
-_ZERO = Vec3(0.0, 0.0, 0.0)
-NO_VELOCITIES = VelocitySums(_ZERO, PairSums((_ZERO, _ZERO, _ZERO), 0.0))
-
-
-def add_velocity(
-    sums: VelocitySums, force: Vec3, place: Place, n: Scalar, dt: Scalar
+def _add_velocity(
+    sums: VelocitySums, force: Vec3, place: Place, n: Scalar, dt: float
 ) -> VelocitySums:
-    """Add the n-th sample: its velocity increment in b0, m/s, with the sample time dt, s."""
     alpha, beta = add(sums.velocity, force), reaction_velocity(place, n * dt)
     return VelocitySums(alpha, _add_pair(sums.pairs, beta, alpha))
 
 
-def fit_velocities(sums: VelocitySums, count: Scalar) -> Quat:
-    """Return C_{b0}^{n0}, whatever the ``count`` of samples."""
-    return _solve_wahba(sums.pairs)
-
-
 class PositionSums(NamedTuple):
-    """Sums of the velocities, m/s, and over pairs of them.
+    """Sums of the velocities up to the last sample, m/s, and over pairs of b and a."""
 
-    Attributes:
-        velocity: alpha up to the last sample.
-        measured: a, likewise.
-        expected: b, likewise.
-        measured_trend: sum of n a.
-        expected_trend: sum of n b.
-        pairs: sums over pairs of b and a.
-    """
-
-    velocity: Vec3
-    measured: Vec3
-    expected: Vec3
-    measured_trend: Vec3
-    expected_trend: Vec3
+    velocity: Vec3  # alpha
+    measured: Vec3  # a
+    expected: Vec3  # b
+    measured_trend: Vec3  # sum of n a
+    expected_trend: Vec3  # sum of n b
     pairs: PairSums
 
 
-NO_POSITIONS = PositionSums(_ZERO, _ZERO, _ZERO, _ZERO, _ZERO, NO_VELOCITIES.pairs)
-
-
-def add_position(
-    sums: PositionSums, force: Vec3, place: Place, n: Scalar, dt: Scalar
+def _add_position(
+    sums: PositionSums, force: Vec3, place: Place, n: Scalar, dt: float
 ) -> PositionSums:
-    """Add the n-th sample, see `add_velocity`."""
     alpha = add(sums.velocity, force)
     a, b = add(sums.measured, alpha), add(sums.expected, reaction_velocity(place, n * dt))
     a_trend, b_trend = add(sums.measured_trend, scale(n, a)), add(sums.expected_trend, scale(n, b))
     return PositionSums(alpha, a, b, a_trend, b_trend, _add_pair(sums.pairs, b, a))
 
 
-def fit_positions(sums: PositionSums, count: Scalar) -> Quat:
-    """Return C_{b0}^{n0} after ``count`` samples, from a and b without their linear trend."""
+def _fit_positions(sums: PositionSums, count: Scalar) -> Quat:
+    """Return C_{b0}^{n0} from a and b without their linear trend."""
     squares = jnp.maximum(count * (count + 1) * (2 * count + 1) / 6, 1.0)
     a, b = sums.measured_trend, sums.expected_trend
-    products = _add_product(sums.pairs.products, scale(-1 / squares, b), a)
-    trend = 0.5 * (dot(a, a) + dot(b, b)) / squares
-    return _solve_wahba(PairSums(products, sums.pairs.weight - trend))
+    return _solve_wahba(_add_pair(sums.pairs, b, a, -squares))
+
+
+ZERO = Vec3(0.0, 0.0, 0.0)
+_NO_PAIRS = PairSums((ZERO, ZERO, ZERO), 0.0)
+VELOCITY_FIT = Fit(
+    VelocitySums(ZERO, _NO_PAIRS), _add_velocity, lambda sums, count: _solve_wahba(sums.pairs)
+)
+POSITION_FIT = Fit(PositionSums(*(ZERO,) * 5, _NO_PAIRS), _add_position, _fit_positions)
 
 
 def _solve_wahba(sums: PairSums) -> Quat:
@@ -152,29 +138,27 @@ _AT = triangle_index(4)
 _ABOVE = 1 + 1e-12
 """Keeps the shift above the largest eigenvalue if that equals the bound."""
 
-_Vector = list[Scalar]
+_Vector = list[Scalar]  # four scalars, which are contiguous over runs
 
 
 def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     """Return the unit eigenvector of a symmetric 4 x 4 matrix's largest eigenvalue.
 
-    The two largest eigenvalues may be close.
-
-    Args:
-        k: upper triangle.
-        bound: close upper bound of the largest eigenvalue; > 0, or all entries are zero.
+    The ``bound``, a close upper one of that eigenvalue, is > 0, or all entries are zero. The two
+    largest eigenvalues may be close.
     """
     inverse = 1 / jnp.where(bound > 0, bound, 1.0)
     k = tuple(entry * inverse for entry in k)
-    diagonal = {_AT[i, i] for i in range(4)}
-    shifted = tuple(_ABOVE - a if at in diagonal else -a for at, a in enumerate(k))
-    solve = _ldl_solver(shifted)
+    diagonal = [_AT[i, i] for i in range(4)]
+    solve = _ldl_solver([_ABOVE - a if at in diagonal else -a for at, a in enumerate(k)])
     one, other = ([jnp.full_like(bound, v) for v in start] for start in _STARTS)
     for _ in range(2):
         one = _unit(solve(one))
         # Twice, since the vectors are nearly parallel and the first leaves rounding errors.
         other = _orthogonal_unit(one, _orthogonal_unit(one, solve(other)))
-    by_one, by_other = _times(k, one), _times(k, other)
+    by_one, by_other = (
+        [sum(k[_AT[i, j]] * v[j] for j in range(4)) for i in range(4)] for v in (one, other)
+    )
     a, b, c = _dot(one, by_one), _dot(one, by_other), _dot(other, by_other)
     # The larger eigenvalue's eigenvector of [[a, b], [b, c]], by half the angle of (a - c, 2b).
     half = 0.5 * (a - c)
@@ -189,7 +173,7 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
 
 
 def _dot(a: _Vector, b: _Vector) -> Scalar:
-    return sum(x * y for x, y in zip(a, b, strict=True))
+    return sum(map(mul, a, b))
 
 
 def _unit(v: _Vector) -> _Vector:
@@ -203,14 +187,9 @@ def _orthogonal_unit(one: _Vector, other: _Vector) -> _Vector:
     return _unit([b - along * a for a, b in zip(one, other, strict=True)])
 
 
-def _times(k: Triangle, v: _Vector) -> _Vector:
-    return [sum(k[_AT[i, j]] * v[j] for j in range(4)) for i in range(4)]
-
-
-def _ldl_solver(m: Triangle) -> Callable[[_Vector], _Vector]:
+def _ldl_solver(m: _Vector) -> Callable[[_Vector], _Vector]:
     """Return b -> x of M x = b for a positive definite M = L D L', L with a unit diagonal."""
-    below: dict[tuple[int, int], Scalar] = {}
-    d: _Vector = []
+    below, d = dict[tuple[int, int], Scalar](), _Vector()
     for j in range(4):
         d.append(m[_AT[j, j]] - sum(below[j, k] ** 2 * d[k] for k in range(j)))
         for i in range(j + 1, 4):
@@ -220,10 +199,9 @@ def _ldl_solver(m: Triangle) -> Callable[[_Vector], _Vector]:
 
     def solve(b: _Vector) -> _Vector:
         x = list(b)
-        for i in range(4):
-            for k in range(i):
-                x[i] = x[i] - below[i, k] * x[k]
-        x = [value * factor for value, factor in zip(x, inverse_d, strict=True)]
+        for (i, k), entry in below.items():
+            x[i] = x[i] - entry * x[k]
+        x = [*map(mul, x, inverse_d)]
         for i in reversed(range(4)):
             for k in range(i + 1, 4):
                 x[i] = x[i] - below[k, i] * x[k]

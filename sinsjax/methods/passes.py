@@ -25,17 +25,14 @@ from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar, 
 class PassReading(NamedTuple):
     """The samples that one record interval reads.
 
-    Attributes:
-        samples: (n,) numbers in the record in the order in which they are read. Backward they are
-            one ahead of navigation, since a sample is compensated with the one before it; -1 is
-            before the record.
-        backward: whether the interval is of a backward pass; None if all passes are forward.
-        opens_pass: whether it is the first of the second or a later pass; None of a single pass.
+    Their (n,) numbers in the record are in the order in which they are read. Backward they are one
+    ahead of navigation, since a sample is compensated with the one before it; -1 is before the
+    record.
     """
 
     samples: Array
-    backward: Flag | None = None
-    opens_pass: Flag | None = None
+    backward: Flag | None = None  # whether the pass is backward; None if all are forward
+    opens_pass: Flag | None = None  # whether it opens the second or a later pass; None of one pass
 
 
 def read_once(record: Count, every: int) -> PassReading:
@@ -47,17 +44,15 @@ def read_alternately(record: Count, pass_records: Count, every: int) -> PassRead
     """Return the samples of an interval (from 0) of passes forward and backward in turn."""
     number, place = record // pass_records, record % pass_records
     backward = number % 2 == 1
-    ahead = jnp.arange(every)
     first = jnp.where(backward, (pass_records - place) * every - 2, place * every)
-    samples = first + jnp.where(backward, -ahead, ahead)
+    samples = first + jnp.where(backward, -1, 1) * jnp.arange(every)
     return PassReading(samples, backward, (place == 0) & (number > 0))
 
 
 def read_forward(record: Count, pass_records: Count, every: int) -> PassReading:
     """Return the samples of an interval of passes that are all forward."""
     place = record % pass_records
-    samples = place * every + jnp.arange(every)
-    return PassReading(samples, opens_pass=(place == 0) & (record > 0))
+    return PassReading(place * every + jnp.arange(every), opens_pass=(place == 0) & (record > 0))
 
 
 def site_of_pass(site: Site, backward: Flag | None) -> Site:
@@ -73,34 +68,27 @@ def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sa
     """Return the compensated sample in the direction of the pass: ``now``, backward ``before``."""
     if backward is None:
         return sensors.compensate_sample(now, before)
-    later = select_tree(backward, before, now)
-    earlier = select_tree(backward, now, before)
+    later, earlier = select_tree(backward, (before, now), (now, before))
     sample = sensors.compensate_sample(later, earlier)
     return select_tree(backward, sensors.reverse_sample(sample), sample)
-
-
-def estimates_gyro_bias(method: Program) -> bool:
-    """Return whether a method estimates gyro biases, which are removed from a stored record."""
-    return method.passes is not None and method.passes.gyro_bias is not None
 
 
 class BodyRotation(NamedTuple):
     """The rotation of the body in inertial space since the beginning of the record, b0.
 
-    Attributes:
-        measured: C_b^{b0}, the product of the samples' rotations.
-        axes_s: time integrals of the body's axes in b0, s: a constant gyro bias has rotated the
-            product by their sum, weighted with the bias. None if no bias is estimated.
+    ``axes_s`` are time integrals of the body's axes in b0, s: a constant gyro bias has rotated the
+    product by their sum, weighted with the bias. None if no bias is estimated.
     """
 
-    measured: Quat
-    axes_s: tuple[Vec3, Vec3, Vec3] | None
+    measured: Quat  # C_b^{b0}, the product of the samples' rotations
+    axes_s: tuple[Vec3, ...] | None
 
 
-def identity_rotation(zero: Array, *, with_bias: bool) -> BodyRotation:
+def initial_rotation(program: Program, zero: Array) -> BodyRotation:
     """Return the rotation at the beginning of the record, of the shape of a zero."""
-    none = Vec3(zero, zero, zero)
-    return BodyRotation(Quat(zero + 1, zero, zero, zero), (none, none, none) if with_bias else None)
+    estimates_bias = program.passes is not None and program.passes.gyro_bias is not None
+    none = (Vec3(zero, zero, zero),) * 3
+    return BodyRotation(Quat(zero + 1, zero, zero, zero), none if estimates_bias else None)
 
 
 def accumulate_rotation(rotation: BodyRotation, samples: Sample, dt: Scalar) -> BodyRotation:
@@ -110,12 +98,9 @@ def accumulate_rotation(rotation: BodyRotation, samples: Sample, dt: Scalar) -> 
         measured = rotations.multiply(so_far.measured, turn)
         if so_far.axes_s is None:
             return BodyRotation(measured, None), None
-        now = rotations.matrix(measured)
-        x, y, z = (
-            add(total, scale(dt, Vec3(*(row[axis] for row in now))))
-            for axis, total in enumerate(so_far.axes_s)
-        )
-        return BodyRotation(measured, (x, y, z)), None
+        axes = zip(so_far.axes_s, zip(*rotations.matrix(measured), strict=True), strict=True)
+        axes_s = tuple(add(total, scale(dt, Vec3(*axis))) for total, axis in axes)
+        return BodyRotation(measured, axes_s), None
 
     return jax.lax.scan(over_sample, rotation, samples.turn)[0]
 

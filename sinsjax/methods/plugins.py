@@ -9,10 +9,9 @@ A plug-in that cannot be loaded affects only the studies that use it. An error o
 reported in one line with the place in that code, see `describe_plugin_error`.
 """
 
-import traceback
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
+from traceback import walk_tb
 from typing import Any, NamedTuple
 
 import jax
@@ -27,30 +26,19 @@ from sinsjax.value_types import Section
 
 
 class PluginRegistry(NamedTuple):
-    """All methods, and the state of the plug-ins.
+    """All methods, and the state of the plug-ins; all by name."""
 
-    Attributes:
-        methods: usable methods by name, the built-in ones first.
-        sections: their sections of a study file, by name.
-        packages: package and version of each method of a plug-in, by name.
-        broken: reason in one line why a plug-in cannot be used, by the name of its entry point.
-    """
-
-    methods: dict[str, Method]
-    sections: dict[str, type[Section]]
-    packages: dict[str, tuple[str, str]]
-    broken: dict[str, str]
+    methods: dict[str, Method]  # usable ones, the built-in ones first
+    sections: dict[str, type[Section]]  # their sections of a study file
+    packages: dict[str, tuple[str, str]]  # package and version of each method of a plug-in
+    broken: dict[str, str]  # in one line, why the plug-in of an entry point cannot be used
 
     def label(self, name: str) -> str:
         """Return the name of a plug-in's method with its package, for messages."""
         return f"method {name!r} of {' '.join(self.packages[name])}"
 
     def add(self, method: Method) -> None:
-        """Add a method whose name, sections and keys are new.
-
-        Raises:
-            InputError: they are not.
-        """
+        """Add a method; an `InputError` says which name, section or key of it is not new."""
         if method.name in self.methods:
             raise InputError(f"there is already a method {method.name!r}")
         if clash := _find_clash(method, self.sections):
@@ -81,12 +69,7 @@ def load_plugins(built_in: Iterable[Method]) -> PluginRegistry:
 
 
 def exclude_clashing(registry: PluginRegistry, common: Mapping[str, type[Section]]) -> None:
-    """Make plug-ins unusable that have a section or key of every study.
-
-    Args:
-        registry: all methods; changed in place.
-        common: sections of every study, by name.
-    """
+    """Make plug-ins of a registry unusable that have a section or key of every study."""
     for name in list(registry.packages):
         if clash := _find_clash(registry.methods[name], common):
             registry.broken[name] = f"{registry.label(name)}: {clash}"
@@ -114,18 +97,12 @@ def check_plugin(
 ) -> None:
     """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
-    Args:
-        name: of the plug-in's method, with its package, for the message.
-        program: the program that it builds.
-        params: its params, leaves (variants, ...).
-        variants: number of variants.
-        site: `Site` of one run.
-        passes: "once", or how a stored record is read repeatedly.
+    Its params, leaves (variants, ...), need one value per variant; the state after a sample must be
+    like that of ``init``, attitude and covariance like those of one run at a `Site`; and a record
+    can be read repeatedly ("alternate" or "rewind") only with ``passes``.
 
     Raises:
-        InputError: a param has not one value per variant; the state after a sample is another than
-            that of ``init``; ``attitude`` or ``covariance`` is not that of one run; or a record is
-            read in a way that the method has no ``passes`` for.
+        InputError: the first of these that fails; begins with the name, that of the method.
     """
     if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
         raise InputError(f"{name}: params must return one value per variant")
@@ -140,30 +117,27 @@ def check_plugin(
         if program.feedback is not None:
             after = program.feedback.close(params, after, nav.ve)
         covariance = unknown if program.covariance is None else program.covariance(state)
-        return (after, program.attitude(state), covariance), (state, nav.q, unknown)
+        return (after, state), (program.attitude(state), nav.q), (covariance, unknown)
+
+    def describe(tree: Any) -> str:
+        leaves = jax.tree.map(lambda leaf: f"{leaf.dtype}{[*leaf.shape]}", tree)
+        return str(leaves).replace("'", "")
 
     zero = np.float64(0.0)
     q, unknown = Quat(*(zero,) * 4), AttitudeCovariance(*(zero,) * 6)
     nav, sample = Navigation(q, *(zero,) * 4), Sample(q, Vec3(*(zero,) * 3))
     of_run = jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
-    found, expected = jax.eval_shape(first_sample, of_run, nav, sample)
-    for what, one, other in zip(
-        ("step, normalise or close", "attitude", "covariance"), found, expected, strict=True
-    ):
-        texts = [
-            str(jax.tree.map(lambda leaf: f"{leaf.dtype}{[*leaf.shape]}", tree)).replace("'", "")
-            for tree in (one, other)
-        ]
-        if texts[0] != texts[1]:
-            returned, wanted = (shorten(text, 300) for text in texts)
-            raise InputError(f"{name}: {what} returns {returned}, expected {wanted}")
+    pairs = jax.eval_shape(first_sample, of_run, nav, sample)
+    names = "step, normalise or close", "attitude", "covariance"
+    for what, pair in zip(names, pairs, strict=True):
+        returned, wanted = map(describe, pair)
+        if returned != wanted:
+            texts = f"{shorten(returned, 300)}, expected {shorten(wanted, 300)}"
+            raise InputError(f"{name}: {what} returns {texts}")
 
 
 def describe_plugin_error(error: BaseException) -> str | None:
-    """Return one line on an error of a plug-in's code, None if the error is not of such code.
-
-    The line names method, package, kind of error, file and line.
-    """
+    """Return method, package, kind, file and line of an error of a plug-in's code; else None."""
     for point in runtime.method_entry_points():
         if _last_place(error, point):
             return f"method {point.name!r}{_package_label(point)}: {_describe_error(error, point)}"
@@ -180,13 +154,10 @@ def _describe_error(error: BaseException, point: EntryPoint) -> str:
 
 def _last_place(error: BaseException, point: EntryPoint) -> str:
     """Return the last place of a traceback in a plug-in's code, as ``, in file:line``."""
-    try:  # the folders of the package, without importing it
-        spec = find_spec(point.module.partition(".")[0])
-    except (AttributeError, ImportError, ValueError):
-        spec = None
-    if spec is None:
-        return ""
-    folders = tuple(f"{folder}/" for folder in spec.submodule_search_locations or ())
-    frames = traceback.extract_tb(error.__traceback__)
-    inside = [f for f in frames if f.filename.startswith(folders or (str(spec.origin),))]
-    return f", in {inside[-1].filename}:{inside[-1].lineno}" if inside else ""
+    package = point.module.partition(".")[0]
+    inside = [
+        f", in {frame.f_code.co_filename}:{line}"
+        for frame, line in walk_tb(error.__traceback__)
+        if frame.f_globals.get("__name__", "").partition(".")[0] == package
+    ]
+    return inside[-1] if inside else ""

@@ -35,10 +35,8 @@ _LEVELLING = 300.0
 """Variance ratio of level at which the early resets take place."""
 
 _EARLY_RESETS = 3
-"""Early resets with the measured force; a single one with the force of gravity.
-
-Two are enough once P0 of velocity is open, 1 m/s, see `reset_prediction`.
-"""
+"""Early resets with the measured force; a single one with the force of gravity. Two are enough once
+P0 of velocity is open, 1 m/s, see `reset_prediction`."""
 
 _LAG_SHARE, _LAG_TAUS = 0.45, 1.2
 """Lag before a slow feedback, as a share of its interval and in tau, the smaller one."""
@@ -62,37 +60,21 @@ _LONGEST_S = 1e5
 
 
 class ResetProblem(NamedTuple):
-    """A zero-velocity filter and its place, as the law sees them; SI units.
+    """A zero-velocity filter and its place, as the law sees them; SI units."""
 
-    Attributes:
-        velocity_noise: q, density of the velocity noise that Q states, m^2/s^3.
-        measurement_noise: r, variance R of an update times its interval, m^2/s.
-        velocity: standard deviation of velocity after a reset, m/s.
-        level: standard deviation of level after a reset, rad.
-        heading: s0, standard deviation of heading after a reset, rad.
-        north_rate: wN, horizontal Earth rate, rad/s.
-        gravity: m/s^2.
-        feedback_s: feedback interval, s.
-        is_force_measured: whether A(t) has the measured specific force, not that of gravity.
-        accel_noise: density of the accelerometers' own noise, m^2/s^3.
-        gyro_noise: density of the gyros' own noise, rad^2/s.
-        tilt_noise: density of the tilt noise that Q states, rad^2/s.
-        surge: density of the velocity of the base, m^2/s.
-    """
-
-    velocity_noise: float
-    measurement_noise: float
-    velocity: float
-    level: float
-    heading: float
-    north_rate: float
-    gravity: float
-    feedback_s: float
-    is_force_measured: bool
-    accel_noise: float = 0.0
-    gyro_noise: float = 0.0
-    tilt_noise: float = 0.0
-    surge: float = 0.0
+    velocity_noise: float  # q, density of the velocity noise that Q states, m^2/s^3
+    measurement_noise: float  # r, variance R of an update times its interval, m^2/s
+    velocity: float  # standard deviation of velocity after a reset, m/s
+    level: float  # standard deviation of level after a reset, rad
+    heading: float  # s0, standard deviation of heading after a reset, rad
+    north_rate: float  # wN, horizontal Earth rate, rad/s
+    gravity: float  # m/s^2
+    feedback_s: float  # feedback interval, s
+    is_force_measured: bool  # whether A(t) has the measured specific force, not that of gravity
+    accel_noise: float = 0.0  # density of the accelerometers' own noise, m^2/s^3
+    gyro_noise: float = 0.0  # density of the gyros' own noise, rad^2/s
+    tilt_noise: float = 0.0  # density of the tilt noise that Q states, rad^2/s
+    surge: float = 0.0  # density of the velocity of the base, m^2/s
 
     @property
     def tau(self) -> float:
@@ -150,18 +132,11 @@ def heading_sigma(time_s: Any, problem: ResetProblem) -> Any:
 
 
 class ResetSchedule(NamedTuple):
-    """A schedule by the law.
+    """A schedule by the law; the last segment ends when the bound is in the band."""
 
-    Attributes:
-        times_s: times of the resets, s.
-        settling_s: time within which the bound settles, with two sigma of noise, s.
-        segments: lengths of the segments after the early resets, s; the last one ends when the
-            bound is in the band.
-    """
-
-    times_s: tuple[float, ...]
-    settling_s: float
-    segments: tuple[float, ...]
+    times_s: tuple[float, ...]  # times of the resets, s
+    settling_s: float  # time within which the bound settles, with two sigma of noise, s
+    segments: tuple[float, ...]  # lengths of the segments after the early resets, s
 
 
 class NoSchedule(ValueError):
@@ -173,16 +148,13 @@ def schedule(
 ) -> ResetSchedule:
     """Return the times of the resets by the law.
 
-    Args:
-        problem: the filter and its place.
-        heading_bound: largest initial heading error, rad.
-        band: heading error within which a run is settled, rad.
+    The bound is the largest initial heading error, the band the error within which a run is
+    settled, rad.
 
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
-    _check(problem, heading_bound, band)
-    ratio = 2 * math.tan(heading_bound / 2)
+    ratio = _find_ratio(problem, heading_bound, band)
     found = _equal_segments(problem, ratio, band, 1)
     for count in range(2, _MOST_SEGMENTS + 1):
         more = _equal_segments(problem, ratio, band, count)
@@ -201,8 +173,7 @@ def schedule_with(
     With few resets early ones are left out; with many there are more segments, or more early ones.
     Arguments and errors are those of `schedule`.
     """
-    _check(problem, heading_bound, band)
-    ratio, early_s = 2 * math.tan(heading_bound / 2), levelling_time(problem)
+    ratio, early_s = _find_ratio(problem, heading_bound, band), levelling_time(problem)
     found = {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
         segments = _equal_segments(problem, ratio, band, resets + 1 - early)
@@ -216,7 +187,8 @@ def schedule_with(
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
-def _check(problem: ResetProblem, heading_bound: float, band: float) -> None:
+def _find_ratio(problem: ResetProblem, heading_bound: float, band: float) -> float:
+    """Check that the law has a schedule, and return 2 tan(phi0/2)."""
     if problem.velocity_noise <= 0:
         raise NoSchedule("with a Q of zero no reset ever pays (use 'none')")
     if problem.measurement_noise <= 0:
@@ -224,12 +196,13 @@ def _check(problem: ResetProblem, heading_bound: float, band: float) -> None:
     if problem.north_rate <= 1e-3 * 7.292e-5:
         raise NoSchedule("no heading can be found at a pole (give another latitude_deg)")
     if not band < heading_bound < math.pi:
-        text = f"a bound of {heading_bound / DEG:.3g} deg is not between the band and 180 deg"
-        raise NoSchedule(text)
+        bound = f"a bound of {heading_bound / DEG:.3g} deg"
+        raise NoSchedule(f"{bound} is not between the band and 180 deg")
     if not math.isfinite(_last_segment(problem, 1.0, band)):
         sigma = heading_sigma(1e3, problem) / ARCMIN
         text = f"noise exceeds a band of {band / ARCMIN:g}': 1 sigma is {sigma:.0f}' after 1000 s"
         raise NoSchedule(f"{text} (give a wider settle_band_arcmin)")
+    return 2 * math.tan(heading_bound / 2)
 
 
 def _early_resets(problem: ResetProblem) -> int:
@@ -243,8 +216,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
     lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
     rests = ratio / contraction(lengths_s, problem) ** (n - 1)
     place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
-    length_s, last_s = float(lengths_s[place]), _last_segment(problem, float(rests[place]), band)
-    return (*([length_s] * (n - 1)), last_s)
+    return (*[lengths_s[place]] * (n - 1), _last_segment(problem, rests[place], band))
 
 
 def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
@@ -267,7 +239,7 @@ def _place_resets(
         later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
         times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
     rounded = tuple(float(f"{time:.9g}") for time in times)
-    return ResetSchedule(rounded, begin + sum(segments), segments)
+    return ResetSchedule(rounded, float(begin + sum(segments)), segments)
 
 
 def _outlast_surge(
@@ -289,12 +261,8 @@ def _outlast_surge(
 
 
 def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
-    """Return the length of a segment that contracts a ratio to a band less noise, s; inf for none.
-
-    Of an array of ratios, an array.
-    """
+    """Return the lengths of segments that contract ratios to a band less noise, s; inf for none."""
     times_s = np.geomspace(1e-6, _LONGEST_S, 4000)
     left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
     reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
-    lengths_s = np.exp(np.interp(np.log(ratio), reached, np.log(times_s), right=math.inf))
-    return lengths_s if np.ndim(ratio) else float(lengths_s)
+    return np.exp(np.interp(np.log(ratio), reached, np.log(times_s), right=math.inf))

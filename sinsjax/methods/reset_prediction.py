@@ -19,7 +19,6 @@ In SI units; free of JAX.
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -35,19 +34,12 @@ _SIDE_BY_SIDE = 256  # runs of similar length that step together
 
 
 class Lane(NamedTuple):
-    """A run to predict.
+    """A run to predict."""
 
-    Attributes:
-        problem: the filter and its place.
-        times_s: times of its resets, s.
-        heading: initial heading error, rad.
-        tilt: initial level error, east and north as a complex number, rad.
-    """
-
-    problem: ResetProblem
-    times_s: tuple[float, ...]
-    heading: float
-    tilt: complex = 0j
+    problem: ResetProblem  # the filter and its place
+    times_s: tuple[float, ...]  # times of its resets, s
+    heading: float  # initial heading error, rad
+    tilt: complex = 0j  # initial level error, east and north as a complex number, rad
 
 
 def predict_settling_times(
@@ -71,7 +63,7 @@ def predict_settling_times(
     ends = zip(lanes, durations.tolist(), strict=True)
     runs = [(lane.problem, lane.times_s, duration) for lane, duration in ends]
     steps = {run: _steps(*run) for run in set(runs)}
-    order = np.argsort([len(steps[run].lengths) for run in runs], kind="stable")
+    order = np.argsort([len(steps[run]) for run in runs], kind="stable")
     settled = np.empty(len(lanes))
     for begin in range(0, len(lanes), _SIDE_BY_SIDE):
         block = order[begin : begin + _SIDE_BY_SIDE]
@@ -80,27 +72,18 @@ def predict_settling_times(
     return settled
 
 
-class _Steps(NamedTuple):
-    """Steps of a run: lengths in s, and whether feedback or a reset ends them."""
-
-    lengths: list[float]
-    feeds: list[bool]
-    resets: list[bool]
-
-
 def _settle(
-    lanes: Sequence[Lane], steps: Sequence[_Steps], bands: NDArray, sigmas: NDArray
+    lanes: Sequence[Lane], steps: Sequence[NDArray], bands: NDArray, sigmas: NDArray
 ) -> NDArray:
     """Return the times from which headings and noise stay within their bands, s; inf for never."""
-    g, north, accel_noise, gyro_noise, surge = _fields(
-        lanes, "gravity", "north_rate", "accel_noise", "gyro_noise", "surge"
-    )
+    problem = _stack_problems(lanes)
     now, settled = np.zeros(len(lanes)), np.full(len(lanes), math.inf)
     before = np.full(len(lanes), math.inf)
     for dt, since, heading in _headings(lanes, steps):
-        by_force = (12 * accel_noise / since**3 + 720 * surge / since**5) / g**2
-        noise = np.sqrt(by_force + 1.2 * gyro_noise / since) / north  # as heading_sigma has it
-        outside = np.abs(heading) + sigmas * noise - bands
+        # As `heading_sigma` has it.
+        by_force = 12 * problem.accel_noise / since**3 + 720 * problem.surge / since**5
+        noise = np.sqrt(by_force / problem.gravity**2 + 1.2 * problem.gyro_noise / since)
+        outside = np.abs(heading) + sigmas * (noise / problem.north_rate) - bands
         now = now + dt
         is_entry = (outside <= 0) & (before > 0)
         crossing = now - dt * outside / np.where(is_entry, outside - before, -1.0)
@@ -110,38 +93,36 @@ def _settle(
 
 
 def _headings(
-    lanes: Sequence[Lane], steps: Sequence[_Steps]
+    lanes: Sequence[Lane], steps: Sequence[NDArray]
 ) -> Iterator[tuple[NDArray, NDArray, NDArray]]:
     """Yield length, time since the last reset, s, and heading error, rad, after each step."""
-    g, north, q, q_tilt, r, is_measured = _fields(
-        lanes,
-        *("gravity", "north_rate", "velocity_noise", "tilt_noise"),
-        *("measurement_noise", "is_force_measured"),
-    )
-    velocity, level, heading_sigma = _fields(lanes, "velocity", "level", "heading")
+    problem = _stack_problems(lanes)
+    g, north, level = problem.gravity, problem.north_rate, problem.level
+    densities = (*[problem.velocity_noise] * 2, *[problem.tilt_noise] * 2)
     start = np.zeros((5, 5, len(lanes)))
-    start[range(5), range(5)] = np.square([velocity, velocity, level, level, heading_sigma])
+    start[range(5), range(5)] = np.square([*[problem.velocity] * 2, level, level, problem.heading])
     p, x = start.copy(), np.zeros((5, len(lanes)))  # velocity and tilt, east and north; heading
     v = np.zeros(len(lanes), complex)
     tilt = np.array([lane.tilt for lane in lanes], complex)
     heading = np.array([lane.heading for lane in lanes], float)
     since = np.zeros(len(lanes))
-    # (steps, lanes): a run that is over has steps of no length.
-    stacked = (np.array([*zip_longest(*one, fillvalue=0)]) for one in zip(*steps, strict=True))
-    for dt, is_fed, is_reset in zip(*stacked, strict=True):
+    together = np.zeros((max(map(len, steps)), 3, len(lanes)))  # a run that is over stands still
+    for lane, steps_of_run in enumerate(steps):
+        together[: len(steps_of_run), :, lane] = steps_of_run
+    for dt, is_fed, is_reset in together:
         rate = 1j * north * (np.exp(-1j * heading) - 1)
         force_dt = g * dt * (tilt + rate * dt / 2)
         v, tilt = v + force_dt, tilt + rate * dt
         tilt_dt, heading_dt = g * dt, north * dt
-        feigned_dt = -1j * is_measured * force_dt + tilt_dt * heading_dt / 2
+        feigned_dt = -1j * problem.is_force_measured * force_dt + tilt_dt * heading_dt / 2
         for m in (p, p.transpose(1, 0, 2), x):
             m[0] += tilt_dt * m[2] + feigned_dt.real * m[4]
             m[1] += tilt_dt * m[3] + feigned_dt.imag * m[4]
             m[2] += heading_dt * m[4]
-        for state, density in enumerate((q, q, q_tilt, q_tilt)):
+        for state, density in enumerate(densities):
             p[state, state] += density * dt
         for axis, velocity in enumerate((v.real, v.imag)):
-            gain = p[axis] * (dt / (p[axis, axis] * dt + r))
+            gain = p[axis] * (dt / (p[axis, axis] * dt + problem.measurement_noise))
             x += gain * (velocity - x[axis])
             p -= gain[:, None] * p[axis]
         fed = np.where(is_fed, x, 0.0)
@@ -156,14 +137,17 @@ def _headings(
             since = np.where(is_reset, 0.0, since)
 
 
-def _fields(lanes: Sequence[Lane], *names: str) -> list[NDArray]:
-    """Return fields of the problems, each (lanes,)."""
-    return [np.array([getattr(lane.problem, name) for lane in lanes], float) for name in names]
+def _stack_problems(lanes: Sequence[Lane]) -> ResetProblem:
+    """Return the problems as one, its fields (lanes,)."""
+    return ResetProblem(*np.array([lane.problem for lane in lanes], float).T)
 
 
-def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> _Steps:
-    """Return steps that are short after each reset and grow, up to a feedback or a reset."""
-    steps = _Steps([], [], [])
+def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> NDArray:
+    """Return steps that are short after each reset and grow, up to a feedback or a reset, (n, 3).
+
+    A row has its length in s and whether a feedback, and whether a reset, ends it.
+    """
+    steps = []
     feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.ell
     shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
     longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
@@ -181,8 +165,6 @@ def _steps(problem: ResetProblem, times_s: Sequence[float], run_s: float) -> _St
                 later = feedback if is_fed else later
             is_last = later >= end - 0.1 * step
             later = end if is_last else later
-            steps.lengths.append(later - now)
-            steps.feeds.append(is_fed or is_last)
-            steps.resets.append(is_last and end != run_s)
+            steps.append((later - now, is_fed or is_last, is_last and end != run_s))
             now = later
-    return steps
+    return np.array(steps, float)
