@@ -39,12 +39,11 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
+    feed_back,
     reverse_time,
-    subtract_fed_back,
 )
 from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
 from sinsjax.methods.method import AttitudeCovariance, Options, StudyKeys
-from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Scalar, Vec3
 
@@ -170,35 +169,23 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
         return state._replace(belief=predict(state.belief, here, dt, params.extra))
 
     return Filter(
-        predict=predict_belief,
-        feed_back=_feed_back,
+        transition=lambda state, here, f_dt: jacobian(state.belief.x, here, dt),
         reverse=partial(reverse_time, REVERSAL),
-        at_rest=lambda state, here: jacobian(state.belief.x, here, dt),
         heading=(AZIMUTH,),
+        predict=predict_belief,
+        feed_back=partial(feed_back, rotate=_rotate),
         attitude=_attitude,
         covariance=_covariance,
     )
 
 
-def _correction(phi: Vec3) -> Quat:
-    """Return the rotation that corrects the attitude by tilt and azimuth, rad."""
-    return rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z))
-
-
-def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    """Return the state with a share of the estimate fed back, and the correction phi."""
-    fed_back = tuple(share * estimate for estimate in state.belief.x)
-    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
-    phi = Vec3(fed_back[TILT_E], fed_back[TILT_N], fed_back[AZIMUTH])
-    corrected = state._replace(
-        nav=nav._replace(q=rotations.multiply(_correction(phi), nav.q)),
-        belief=subtract_fed_back(state.belief, fed_back),
-    )
-    return corrected, phi
+def _rotate(phi: Vec3, q: Quat) -> Quat:
+    """Return the attitude corrected by tilt and azimuth, rad."""
+    return rotations.multiply(rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z)), q)
 
 
 def _attitude(state: FilterState) -> Quat:
-    return rotations.multiply(_correction(estimated_misalignment(state)), state.nav.q)
+    return _rotate(estimated_misalignment(state), state.nav.q)
 
 
 def _covariance(state: FilterState) -> AttitudeCovariance:

@@ -47,21 +47,21 @@ def build_filter(options: Options) -> Filter:
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return initial_state(params, nav)._replace(extra=jnp.zeros_like(nav.ve))
 
-    def transition(nav: Navigation, here: Place) -> Entries:
+    def transition(state: FilterState, here: Place, f_dt: Vec3) -> Entries:
         gravity = Vec3(0.0, 0.0, here.gravity * dt)
-        return five_state_transition(nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
+        return five_state_transition(state.nav._replace(ve=0.0, vn=0.0), here, gravity, dt)
 
     def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
         up = state.extra + (f_dt.z - here.gravity * dt) + _coriolis_up(state.nav, here) * dt
-        belief = kalman.propagate(state.belief, transition(state.nav, here))
+        belief = kalman.propagate(state.belief, transition(state, here, f_dt))
         return state._replace(belief=belief, extra=up)
 
     return Filter(
+        transition=transition,
+        reverse=_reverse,
+        heading=(PHI_U,),
         predict=predict,
         feed_back=_feed_back,
-        reverse=_reverse,
-        at_rest=lambda state, here: transition(state.nav, here),
-        heading=(PHI_U,),
         init=init,
         shares_covariance=options.position == "fixed",
     )

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from sinsjax.columns import Column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
-from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.attitude import (
     rotate_covariance,
     rotation_from_tilt,
@@ -81,15 +80,11 @@ def build_filter(options: Options) -> Filter:
     """Return the filter; `Options.specific_force` is always that of a base at rest."""
     dt = options.dt
 
-    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
-        return state._replace(belief=kalman.propagate(state.belief, transition(here, dt)))
-
     return Filter(
-        predict=predict,
-        feed_back=_feed_back,
+        transition=lambda state, here, f_dt: transition(here, dt),
         reverse=partial(reverse_time, REVERSAL),
-        at_rest=lambda state, here: transition(here, dt),
         heading=(SINE, VERSINE),
+        feed_back=_feed_back,
         init=init_unknown_heading,
         misalignment=_misalignment,
         attitude=_attitude,

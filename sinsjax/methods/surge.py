@@ -39,7 +39,7 @@ from sinsjax.methods.filters.params import filter_params
 from sinsjax.methods.method import Options, StudyKeys
 from sinsjax.methods.sincos import VE, VN
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Scalar, Vec3
+from sinsjax.types import Navigation, Scalar
 from sinsjax.value_types import Seconds, Section, SpeedSigma
 
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
@@ -67,16 +67,11 @@ def build_filter(options: Options) -> Filter:
     def init(params: FilterParams, nav: Navigation) -> FilterState:
         return sincos.init_unknown_heading(params, nav)._replace(extra=params.extra)
 
-    def predict(params: FilterParams, state: FilterState, here: Place, f_dt: Vec3) -> FilterState:
-        entries = transition(here, state.extra, dt)
-        return state._replace(belief=kalman.propagate(state.belief, entries))
-
     return sincos.build_filter(options)._replace(
         init=init,
-        predict=predict,
+        transition=lambda state, here, f_dt: transition(here, state.extra, dt),
         update=_update_with_surge,
         reverse=partial(reverse_time, REVERSAL),
-        at_rest=lambda state, here: transition(here, state.extra, dt),
     )
 
 

@@ -10,15 +10,14 @@ from functools import partial
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries
-from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.keys import LOOP_KEYS, filter_method
 from sinsjax.methods.filters.loop import (
+    FIRST_BIAS,
     Filter,
     FilterParams,
     FilterState,
     initial_state,
     reverse_time,
-    subtract_fed_back,
 )
 from sinsjax.methods.filters.params import (
     ACCEL_BIAS,
@@ -29,7 +28,7 @@ from sinsjax.methods.filters.params import (
     filter_params,
 )
 from sinsjax.methods.method import Options
-from sinsjax.strapdown import earth, mechanisation
+from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
@@ -38,11 +37,10 @@ BIAS_STATES = (ACCEL_BIAS, ACCEL_BIAS, GYRO_BIAS, GYRO_BIAS, GYRO_BIAS)
 REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
 """Sign of each state under time reversal."""
 BIAS_REVERSAL = (1.0, 1.0, -1.0, -1.0, -1.0)
-_FIRST_BIAS = PHI_U + 1
-NABLA_X, NABLA_Y, EPS_X, EPS_Y, EPS_Z = range(_FIRST_BIAS, _FIRST_BIAS + 5)
+NABLA_X, NABLA_Y, EPS_X, EPS_Y, EPS_Z = range(FIRST_BIAS, FIRST_BIAS + 5)
 
 
-def ten_state_transition(nav: Navigation, place: earth.Place, f_dt: Vec3, dt: Scalar) -> Entries:
+def ten_state_transition(nav: Navigation, place: Place, f_dt: Vec3, dt: Scalar) -> Entries:
     """Return `five_state_transition` with the biases as states."""
     c = rotations.matrix(nav.q)
     entries = dict(five_state_transition(nav, place, f_dt, dt))
@@ -59,32 +57,21 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
     """Return the filter of `KALMAN5`, or with biases of `KALMAN10`."""
     dt = options.dt
     assumes_rest = options.specific_force == "gravity"
-    transition = ten_state_transition if with_biases else five_state_transition
+    entries = ten_state_transition if with_biases else five_state_transition
     reversal = (*REVERSAL, *BIAS_REVERSAL) if with_biases else REVERSAL
 
-    def at_rest(state: FilterState, place: earth.Place) -> Entries:
-        gravity = Vec3(0.0, 0.0, place.gravity * dt)
-        return transition(state.nav._replace(ve=0.0, vn=0.0), place, gravity, dt)
-
-    def predict(
-        params: FilterParams, state: FilterState, here: earth.Place, f_dt: Vec3
-    ) -> FilterState:
-        entries = at_rest(state, here) if assumes_rest else transition(state.nav, here, f_dt, dt)
-        return state._replace(belief=kalman.propagate(state.belief, entries))
+    def transition(state: FilterState, here: Place, f_dt: Vec3) -> Entries:
+        nav = state.nav
+        if assumes_rest:
+            nav, f_dt = nav._replace(ve=0.0, vn=0.0), Vec3(0.0, 0.0, here.gravity * dt)
+        return entries(nav, here, f_dt, dt)
 
     def correct(state: FilterState, sample: Sample) -> Sample:
         return subtract_biases(sample, state.bias, dt)
 
-    def reverse(state: FilterState) -> FilterState:
-        biases = zip(reversal[_FIRST_BIAS:], state.bias, strict=True)
-        reversed_ = reverse_time(reversal, state)
-        return reversed_._replace(bias=tuple(sign * bias for sign, bias in biases))
-
     return Filter(
-        predict=predict,
-        feed_back=_feed_back,
-        reverse=reverse,
-        at_rest=at_rest,
+        transition=transition,
+        reverse=partial(reverse_time, reversal),
         heading=(PHI_U,),
         init=_init,
         correct=correct if with_biases else None,
@@ -96,7 +83,7 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
 
 def _init(params: FilterParams, nav: Navigation) -> FilterState:
     state = initial_state(params, nav)
-    return state._replace(bias=state.belief.x[_FIRST_BIAS:])
+    return state._replace(bias=state.belief.x[FIRST_BIAS:])
 
 
 def subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sample:
@@ -109,28 +96,14 @@ def subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sam
     return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
 
 
-def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    """[P1] section 2.3: V <- V - dV, C <- exp(phi x) C, and x loses the part fed back."""
-    fed_back = tuple(share * estimate for estimate in state.belief.x)
-    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
-    phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
-    biases = zip(state.bias, fed_back[_FIRST_BIAS:], strict=True)
-    corrected = state._replace(
-        nav=nav._replace(q=rotations.correct(phi, nav.q)),
-        belief=subtract_fed_back(state.belief, fed_back),
-        bias=tuple(bias + correction for bias, correction in biases),
-    )
-    return corrected, phi
-
-
 def _estimated_biases(state: FilterState) -> tuple[Scalar, ...]:
     """Return the sensor biases as estimated: fed back, and not yet fed back."""
-    not_fed_back = state.belief.x[_FIRST_BIAS:]
+    not_fed_back = state.belief.x[FIRST_BIAS:]
     return tuple(bias + x for bias, x in zip(state.bias, not_fed_back, strict=True))
 
 
 def _gyro_bias(state: FilterState) -> Vec3:
-    return Vec3(*_estimated_biases(state)[EPS_X - _FIRST_BIAS :])
+    return Vec3(*_estimated_biases(state)[EPS_X - FIRST_BIAS :])
 
 
 KALMAN5 = filter_method(

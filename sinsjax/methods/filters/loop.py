@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, change_signs, select_tree
 from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
@@ -23,8 +24,11 @@ from sinsjax.methods.filters.kalman import Belief, Innovation
 from sinsjax.methods.method import AttitudeCovariance, Feedback, Options, Passes, Program, Site
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+
+FIRST_BIAS = PHI_U + 1
+"""Number of the first state after those of velocity and attitude, in filters of biases."""
 
 
 class InnovationSum(NamedTuple):
@@ -111,13 +115,35 @@ def reverse_time(signs: Sequence[float], state: Any) -> Any:
     """Return the state in reversed time: velocity negated, each estimate with its sign."""
     x, p = state.belief
     belief = Belief(tuple(s * a for s, a in zip(signs, x, strict=True)), change_signs(signs, p))
-    return state._replace(nav=mechanisation.reverse_velocity(state.nav), belief=belief)
+    bias = tuple(s * b for s, b in zip(signs[FIRST_BIAS:], state.bias, strict=False))
+    return state._replace(nav=mechanisation.reverse_velocity(state.nav), belief=belief, bias=bias)
 
 
 def subtract_fed_back(belief: Belief, fed_back: Sequence[Scalar]) -> Belief:
     """Return the belief after the given part of its estimates has been fed back."""
     x = tuple(a - b for a, b in zip(belief.x, fed_back, strict=True))
     return belief._replace(x=x)
+
+
+def feed_back(
+    state: FilterState,
+    share: Scalar,
+    rotate: Callable[[Vec3, Quat], Quat] = rotations.correct,
+) -> tuple[FilterState, Vec3]:
+    """Return the state with a share of its estimate fed back, and the correction phi, rad.
+
+    [P1] section 2.3: V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part
+    fed back. States after those of the attitude are biases.
+    """
+    fed_back = tuple(share * estimate for estimate in state.belief.x)
+    nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
+    phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
+    corrected = state._replace(
+        nav=nav._replace(q=rotate(phi, nav.q)),
+        belief=subtract_fed_back(state.belief, fed_back),
+        bias=tuple(b + x for b, x in zip(state.bias, fed_back[FIRST_BIAS:], strict=True)),
+    )
+    return corrected, phi
 
 
 # The loop
@@ -130,13 +156,14 @@ class Filter(NamedTuple):
     more. Its first two states are the velocity errors.
 
     Attributes:
-        predict: (params, state, place, f dt in n, m/s) -> state with its belief propagated over a
-            sample; the solution is still that before it, and the process noise is added later.
+        transition: (state, place, f dt in n, m/s) -> non-zero entries of A dt.
+        reverse: state -> state with which the record is read in the other direction.
+        heading: numbers of the states of heading.
+        predict: (params, state, place, f dt) -> state with its belief propagated over a sample; the
+            solution is still that before it, and the process noise is added later. None for a
+            prediction by ``transition``.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and the correction of its attitude, rad.
-        reverse: state -> state with which the record is read in the other direction.
-        at_rest: (state, place) -> transition of a base at rest, with specific force (0, 0, g).
-        heading: numbers of the states of heading.
         init: (params, navigation) -> state.
         update: (params, state) -> state after the update with the velocity, and the `Innovation`.
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
@@ -150,11 +177,11 @@ class Filter(NamedTuple):
         gyro_bias: see `Passes`.
     """
 
-    predict: Callable[[Any, Any, Place, Vec3], Any]
-    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]]
+    transition: Callable[[Any, Place, Vec3], Entries]
     reverse: Callable[[Any], Any]
-    at_rest: Callable[[Any, Place], Entries]
     heading: tuple[int, ...]
+    predict: Callable[[Any, Any, Place, Vec3], Any] | None = None
+    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]] = feed_back
     init: Callable[[Any, Navigation], Any] = initial_state
     update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
     misalignment: Callable[[Any], Vec3] = estimated_misalignment
@@ -207,7 +234,7 @@ class _ClosedLoop(NamedTuple):
         nav, f_dt = mechanisation.advance_navigation(before.nav, sample, here, dt)
         if self.options.position == "integrated":
             nav = mechanisation.advance_position(nav, here, dt)
-        predicted = self.filter.predict(params, before, here, f_dt)  # [P1] eqs (8) and (9)
+        predicted = self._predict(params, before, here, f_dt)  # [P1] eqs (8) and (9)
         belief = kalman.add_noise(predicted.belief, params.q)
         state, innovation = self.filter.update(params, predicted._replace(nav=nav, belief=belief))
         if self.options.innovations:
@@ -223,9 +250,19 @@ class _ClosedLoop(NamedTuple):
             correction=add(state.trigger_state.fed_back, not_fed_back),
             not_fed_back=not_fed_back,
             covariance=lambda belief: self.filter.covariance(state._replace(belief=belief)),
-            at_rest=self.filter.at_rest(before, here),
+            at_rest=self.filter.transition(
+                before._replace(nav=before.nav._replace(ve=0.0, vn=0.0)),
+                here,
+                Vec3(0.0, 0.0, here.gravity * dt),
+            ),
         )
         return triggers.update_trigger(self.trigger, params, state, snapshot, n)
+
+    def _predict(self, params: Any, state: Any, here: Place, f_dt: Vec3) -> Any:
+        if self.filter.predict is not None:
+            return self.filter.predict(params, state, here, f_dt)
+        entries = self.filter.transition(state, here, f_dt)
+        return state._replace(belief=kalman.propagate(state.belief, entries))
 
     def close(self, params: Any, state: Any, n: Scalar) -> Any:
         feeds_back, resets = n >= state.feedback_at, schedules.reset_due(params.resets, n)
