@@ -37,7 +37,6 @@ against a smoother on the same record; and [P1]'s swing and sensor noise, 100 dr
 """
 
 from functools import partial
-from operator import mul
 from typing import Any, NamedTuple
 
 import jax
@@ -95,50 +94,39 @@ def build(fit: Fit, options: Options) -> Program:
 
 
 class ForceSums(NamedTuple):
-    """Sums of m, m^2 and m^3 times the change of a vector, m from mid-sample to mid-sample.
+    """Sums of m, m^2 and m^3 times a velocity increment, m from mid-sample to mid-sample, m/s."""
 
-    Of whole vectors the rounding of the sums would leave 1e-10 rad of heading.
-    """
-
-    first: Vec3  # velocity increment of the first sample in b0, m/s
-    measured: tuple[Vec3, ...]  # of increments in b0 less the first, m/s
-    expected: tuple[Vec3, ...]  # of the vertical in n0 less the one at the start
+    measured: tuple[Vec3, ...]  # in b0
+    expected: tuple[Vec3, ...]  # in n0
 
 
 def _add_force(sums: ForceSums, force: Vec3, place: Place, n: Scalar, dt: float) -> ForceSums:
-    """Return the sums with a sample's increment in b0 and the vertical in its middle."""
+    """Return the sums with a sample's increment in b0, and the one that gravity leads to."""
     middle = n - 0.5
-    first = select_tree(n > 1, sums.first, force)
-    w, _, y, z = rotations.exp(scale(middle * dt, earth_rate(place)))  # about an axis without east
+    up = Vec3(jnp.zeros_like(place.gravity), jnp.zeros_like(place.gravity), place.gravity * dt)
+    reaction = rotations.rotate(rotations.exp(scale(middle * dt, earth_rate(place))), up)
 
-    def add_powers(totals: tuple[Vec3, ...], change: Vec3) -> tuple[Vec3, ...]:
-        return tuple(add(t, scale(middle**k, change)) for k, t in enumerate(totals, start=1))
+    def add_powers(totals: tuple[Vec3, ...], increment: Vec3) -> tuple[Vec3, ...]:
+        return tuple(add(t, scale(middle**k, increment)) for k, t in enumerate(totals, start=1))
 
-    measured = add_powers(sums.measured, add(force, scale(-1.0, first)))
-    expected = add_powers(sums.expected, Vec3(2 * w * y, 2 * y * z, -2 * y * y))
-    return ForceSums(first, measured, expected)
-
-
-_MEAN, _SLOPE = (2.0, -1.0, 0.0), (-2.0, 3.0, -1.0)
-"""Coefficients of hm, (hm)^2, (hm)^3 in 1 - tau^2 and (1 - tau^2) tau, tau = hm - 1, h = 2/n."""
+    return ForceSums(add_powers(sums.measured, force), add_powers(sums.expected, reaction))
 
 
 def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
-    """Return the TRIAD of the weighted means and slopes of measured and expected force."""
-    n = jnp.maximum(count, 1.0)
-    total = (2 * n * n + 1) / (3 * n)  # of 1 - tau^2; that of (1 - tau^2) tau is zero
+    """Return the TRIAD of the means with weights 1 - tau^2 and (1 - tau^2) tau, tau = 2 m/n - 1."""
+    h = 2 / jnp.maximum(count, 1.0)
 
-    def weigh(start: Array, totals: tuple[Vec3, ...]) -> Array:
-        powers = [jnp.stack(scale((2 / n) ** k, t)) for k, t in enumerate(totals, start=1)]
-        mean, slope = (sum(map(mul, weight, powers)) for weight in (_MEAN, _SLOPE))
-        return jnp.stack([total * start + mean, slope])
+    def weigh(totals: tuple[Vec3, ...]) -> Array:
+        # 1 - tau^2 = 2 hm - (hm)^2, times tau = -2 hm + 3 (hm)^2 - (hm)^3.
+        first, second, third = (scale(h**k, total) for k, total in enumerate(totals, start=1))
+        mean = add(scale(2.0, first), scale(-1.0, second))
+        slope = add(add(scale(-2.0, first), scale(3.0, second)), scale(-1.0, third))
+        return jnp.stack([jnp.stack(mean), jnp.stack(slope)])
 
-    up = jnp.array([0.0, 0.0, 1.0])
-    return triad_attitude(weigh(jnp.stack(sums.first), sums.measured), weigh(up, sums.expected))
+    return triad_attitude(weigh(sums.measured), weigh(sums.expected))
 
 
-_NO_FORCES = ForceSums(ZERO, (ZERO,) * 3, (ZERO,) * 3)
-_FORCE_FIT = Fit(_NO_FORCES, _add_force, _fit_mean_and_slope)
+_FORCE_FIT = Fit(ForceSums((ZERO,) * 3, (ZERO,) * 3), _add_force, _fit_mean_and_slope)
 
 _method = partial(Method, needs_start=False, turning="many")
 
