@@ -43,7 +43,8 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
-from sinsjax.methods.gravity_fit import noise
+from sinsjax.methods.gravity_fit import noise as whitening
+from sinsjax.methods.gravity_fit.noise import times
 from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
@@ -75,7 +76,7 @@ class FitParams(NamedTuple):
         lever_arm: from the turn axis to the sensors, m; None for sensors in it.
     """
 
-    noise: noise.SensorNoise
+    noise: whitening.SensorNoise
     gyro_bias: Scalar
     accel_bias: Scalar
     scale_factor: Scalar | None = None
@@ -110,7 +111,7 @@ class Block(NamedTuple):
 
     @classmethod
     def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3) -> "Block":
-        """Return the block of a rotation, a velocity increment and the rate at its end."""
+        """Return the block with its half turn and its angle."""
         angle = rotations.log(turn)
         return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv, rate)
 
@@ -193,7 +194,7 @@ def solve(
     solution = Solution.before_data(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
     guess = _Guess(_level(first), (zero + 1, zero), *triads)
-    model = noise.noise_model(params.noise, place.gravity, length_s)
+    model = whitening.noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
         number, _, solution = carry
@@ -223,7 +224,7 @@ class _Guess(NamedTuple):
     others: tuple[Vec3, ...]
 
     def errors(self) -> Array:
-        """Return the errors of sensors and lever arm, the unknowns from `GYRO` on."""
+        """Return the unknowns from `GYRO` on."""
         return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
     def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
@@ -255,7 +256,7 @@ class _Sums(NamedTuple):
     turned: tuple[Vec3, ...]
     swung: tuple[Vec3, ...]
     walk: tuple[Array, ...]
-    variance: noise.Covariance
+    variance: whitening.Covariance
     normal: tuple[Array, ...]
 
 
@@ -263,7 +264,7 @@ class _Pass(NamedTuple):
     """A pass over the blocks; ``is_known`` is 0 in the first, where c is a free number, else 1."""
 
     place: Place
-    noise: noise.NoiseModel
+    noise: whitening.NoiseModel
     guess: _Guess
     is_known: Scalar
     length_s: float
@@ -283,8 +284,9 @@ class _Pass(NamedTuple):
         later = self.guess.changed(unknown, self.is_known)
 
         rotation, in_l = _end_error(end, unknown, covariance)
+        ratio = jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
         data_s = jnp.asarray(count, square.dtype) * self.length_s
-        level, heading = end.variance[0, 0], noise.heading_variance(params.noise, data_s)
+        level, heading = end.variance[0, 0], whitening.heading_variance(params.noise, data_s)
         in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
         cos, sin = later.heading[0], -later.heading[1]
         levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
@@ -295,9 +297,7 @@ class _Pass(NamedTuple):
             gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
             covariance=rotate_covariance(AttitudeCovariance(*in_l[jnp.triu_indices(3)]), sin, cos),
             misfit=jnp.sqrt(jnp.maximum(square, 0.0) / (2 * data_s / self.length_s - 4)),
-            prior_ratio=jnp.max(
-                jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
-            ),
+            prior_ratio=jnp.max(ratio),
             change=change,
         )
 
@@ -323,11 +323,7 @@ class _Pass(NamedTuple):
         versed = 2 * jnp.sin(0.5 * angle) ** 2
         east, north = cos * jnp.sin(angle), cos * sin * versed
         real, imaginary = self.guess.heading
-        return (
-            real * east - imaginary * north,
-            imaginary * east + real * north,
-            1 - cos**2 * versed,
-        )
+        return real * east - imaginary * north, imaginary * east + real * north, 1 - cos**2 * versed
 
     def add_block(self, sums: _Sums, block: Block, number: Count) -> _Sums:
         """Return the sums with one more block."""
@@ -364,14 +360,14 @@ class _Pass(NamedTuple):
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
         about_up = rotations.rotate(sums.body, block.angle).z
-        step, gain, s, variance = noise.predict(self.noise, sums.variance, about_up)
+        step, gain, s, variance = whitening.predict(self.noise, sums.variance, about_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
         if lever:  # its velocity at the first sample is unknown
             residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
         for state, estimates in zip(self.noise.states, sums.walk, strict=True):
             residual = residual - state.seen * estimates
         walk = tuple(
-            sum(noise.times(f, sums.walk[j]) for j, f in row.items()) + noise.times(k, residual)
+            sum(times(f, sums.walk[j]) for j, f in row.items()) + times(k, residual)
             for row, k in zip(step, gain, strict=True)
         )
         # Row by row: what a row needs stays in the registers.

@@ -8,6 +8,7 @@ reported times and at the end. In between the gyros carry the attitude, without 
 
 from collections.abc import Callable
 from functools import partial
+from operator import attrgetter
 from typing import Annotated, Any, NamedTuple
 
 import jax
@@ -219,10 +220,8 @@ def params(keys: method.StudyKeys, xp: Any) -> FitParams:
 
     def white(key: str, unit: float, density_unit: float) -> Any:
         density = _NOISE[key]
-        if not simulated:
-            return given_or(zero, key, unit)
-        made = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) * density_unit
-        return given_or(made, key, unit)
+        own = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) if simulated else zero
+        return given_or(own * density_unit, key, unit)
 
     def drifts(sensor: str, unit_name: str, unit: float) -> tuple[Drift, ...]:
         variance = size(f"{sensor}_instability_{unit_name}", unit) ** 2
@@ -262,18 +261,18 @@ def _is_given(sigma: Any) -> bool:
 
 
 def _column(
-    name: str, meaning: str, value: Callable[[Solution], Any], unit: str = ""
+    name: str, meaning: str, unit: str = "", value: Callable[[Solution], Any] | None = None
 ) -> method.OwnColumn:
-    column = Column(f"fit_{name}", pa.float64(), unit, meaning)
-    return method.OwnColumn(column, lambda results, rate_hz: np.asarray(value(results)))
+    column, read = Column(f"fit_{name}", pa.float64(), unit, meaning), value or attrgetter(name)
+    return method.OwnColumn(column, lambda results, rate_hz: np.asarray(read(results)))
 
 
 def _bias_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_deg_per_h",
         f"gyro bias of the {name} axis by the fit",
-        lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
         "deg/h",
+        lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
     )
 
 
@@ -281,8 +280,8 @@ def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_sigma_deg_per_h",
         "1 sigma of it",
-        lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
         "deg/h",
+        lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
     )
 
 
@@ -292,19 +291,16 @@ COLUMNS = (
         "misfit",
         "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
         " doubt",
-        lambda found: found.misfit,
     ),
     _column(
         "prior_ratio",
         "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
         " more than 3 is a doubt",
-        lambda found: found.prior_ratio,
     ),
     _column(
         "change",
         "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
         " fit has not converged",
-        lambda found: found.change,
     ),
     *(_bias_column(*axis) for axis in _AXES),
     *(_bias_sigma_column(*axis) for axis in _AXES),
