@@ -63,16 +63,14 @@ class Windows(NamedTuple):
     """A smoothed reset schedule: each reset is spread over a smooth window.
 
     The outcome of a run can then be differentiated by the times. The narrower the windows, the
-    closer to `Resets`.
-
-    Only for covariance resets whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw':
-    of these the parts, one after the other, make what a hard reset makes at once.
+    closer to `Resets`. Only for covariance resets whose ``keep`` and ``keep_yaw`` are 0 or 1, such
+    as 'full' and 'yaw': of these the parts, one after the other, make what a hard reset makes at
+    once.
 
     Attributes:
         samples: (M,) counts of the samples about which P is reset, in any order.
         width: half the width of a window, some tens of samples or more: a shorter window leaves
             more than it should, as 1/(1 + h) is not exp(-h).
-        covariance_reset: total effect of the window of one reset.
     """
 
     samples: Array

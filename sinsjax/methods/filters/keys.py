@@ -130,13 +130,10 @@ def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float)
 
 
 class ProcessNoise(NamedTuple):
-    """A quantity of Q: the forms in which a study gives it, and the sensors whose noise it is.
+    """A quantity of Q, by the key of its first form, and the sensors whose white noise it is.
 
-    Attributes:
-        key: of its first form.
-        sensors: their name in messages.
-        density: (samples per second, keys of [sensors]) -> density of their white noise, in the
-            unit of ``key`` under 'psd'.
+    ``density`` is that noise in the unit of ``key`` under 'psd': a function of samples per second
+    and keys of [sensors].
     """
 
     key: str
@@ -420,7 +417,6 @@ def check_resets(study: StudyKeys) -> None:
 
 
 def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
-    """Refuse resets after the end, at the start, or two at one sample, for one schedule."""
     given, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
     rate, end_s = study.rate_hz, study.run_s * (1 + ROUNDING)
     late = colliding = "schedule" if point["schedule"] == "law" else "reset_times_s"

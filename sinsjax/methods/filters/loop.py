@@ -271,7 +271,7 @@ class _ClosedLoop(NamedTuple):
         # Before a reset, all of the estimate is fed back.
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
-        closed, correction = self.filter.feed_back(state, share)
+        closed, fed_back = self.filter.feed_back(state, share)
         effect, heading = params.resets.covariance_reset, self.filter.heading
         effect = schedules.reset_if_due(resets, effect)
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, heading)
@@ -280,9 +280,7 @@ class _ClosedLoop(NamedTuple):
             feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
         if self.trigger is not None:
-            closed = triggers.update_after_closing(
-                self.trigger, params, closed, reset=resets, correction=correction, n=n
-            )
+            closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
         if isinstance(params.resets, schedules.Windows):
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
@@ -294,7 +292,7 @@ class _ClosedLoop(NamedTuple):
         p, heading = state.belief.p, self.filter.heading
         p = schedules.reset_covariance(params.reversal, p, params.p0, heading)
         state = state._replace(belief=state.belief._replace(p=p))
-        return triggers.begin_pass(self.trigger, params, state, self.filter.misalignment(state))
+        return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
 
     def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
         # All knowledge of the solution's errors is in the solution; P is that of a start.
@@ -304,7 +302,7 @@ class _ClosedLoop(NamedTuple):
             innovations=state.innovations,
             trigger_state=state.trigger_state,
         )
-        return triggers.begin_pass(self.trigger, params, first, self.filter.misalignment(first))
+        return triggers.begin_pass(self.trigger, first, self.filter.misalignment(first))
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts

@@ -45,13 +45,9 @@ GYRO_BIAS = StateKind("gyro_bias_deg_per_h", DEG_PER_H, None)
 def filter_params(
     states: Sequence[StateKind], keys: StudyKeys, xp: Any, *, models_surge: bool = False
 ) -> FilterParams:
-    """Return the params of a filter, leaves (variants,).
+    """Return the params of a filter with states of these kinds, leaves (variants,).
 
-    Args:
-        states: kind of each state.
-        keys: keys of variants with one method.
-        xp: NumPy, or `jax.numpy` to differentiate.
-        models_surge: whether other states model the surge, so that R does not follow it.
+    R does not follow the surge if other states model that; see `Method.params`.
     """
     zero = np.zeros(keys.count)
 

@@ -85,12 +85,12 @@ class Trigger(NamedTuple):
 
     Attributes:
         summary: condition of its resets, in half a line.
-        start: (`TriggerParams`, P) -> memory at the start and after a reset that leaves P.
+        start: P -> memory at the start and after a reset that leaves P.
         score: (params of the filter, memory, snapshot) -> memory and score.
     """
 
     summary: str
-    start: Callable[[TriggerParams, Triangle], Any]
+    start: Callable[[Triangle], Any]
     score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
 
 
@@ -101,7 +101,7 @@ def start(trigger: Trigger, params: TriggerParams, p: Triangle) -> TriggerState:
     """Return the state of a trigger before the first sample, for the initial covariance P."""
     zero = jnp.zeros_like(params.threshold)
     return TriggerState(
-        trigger.start(params, p),
+        trigger.start(p),
         Vec3(zero, zero, zero),
         TriggerCounts(zero, zero, zero),
         zero,
@@ -141,24 +141,20 @@ def fired(state: Any, n: Scalar) -> Flag:
 
 
 def update_after_closing(
-    trigger: Trigger, params: Any, state: Any, *, reset: Flag, correction: Vec3, n: Scalar
+    trigger: Trigger, state: Any, reset: Flag, fed_back: Vec3, n: Scalar
 ) -> Any:
-    """Return a filter's state with its loop closed at the n-th sample, P reset or not.
-
-    The correction is that of the attitude that was fed back, rad.
-    """
+    """Return a filter's state after the n-th sample, with P reset or not and an angle fed back."""
     before = state.trigger_state
-    cleared = trigger.start(params.trigger, state.belief.p)
-    fed_back = Vec3(*(jnp.where(reset, 0.0, a) for a in add(before.fed_back, correction)))
+    fed_back = add(before.fed_back, fed_back)
     after = before._replace(
-        memory=select_tree(reset, cleared, before.memory),
-        fed_back=fed_back,
+        memory=select_tree(reset, trigger.start(state.belief.p), before.memory),
+        fed_back=Vec3(*(jnp.where(reset, 0.0, angle) for angle in fed_back)),
         last_reset=jnp.where(reset, n, before.last_reset),
     )
     return state._replace(trigger_state=after)
 
 
-def begin_pass(trigger: Trigger | None, params: Any, state: Any, misalignment: Vec3) -> Any:
+def begin_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
     """Return a filter's first state of a pass, with the memory of its trigger, if any, cleared.
 
     The counts of resets continue. A reset that still waits for feedback is forgotten with the
@@ -169,7 +165,7 @@ def begin_pass(trigger: Trigger | None, params: Any, state: Any, misalignment: V
         return state
     before = state.trigger_state
     after = before._replace(
-        memory=trigger.start(params.trigger, state.belief.p),
+        memory=trigger.start(state.belief.p),
         fed_back=Vec3(*(-angle for angle in misalignment)),
         pending=None if before.pending is None else jnp.zeros_like(before.pending),
     )
@@ -186,8 +182,8 @@ class _Block(NamedTuple):
     sums: tuple[Scalar, ...]
 
 
-def _start_block(params: TriggerParams, p: Triangle) -> _Block:
-    zero = jnp.zeros_like(params.threshold)
+def _start_block(p: Triangle) -> _Block:
+    zero = jnp.zeros_like(p[0])
     return _Block(zero, (zero,) * 5)
 
 
@@ -260,7 +256,7 @@ TRIGGERS = {
         "innovations summed over a window, normalised", _start_block, _score_innovation
     ),
     "linearisation": Trigger(
-        "P_UU below what a linear model can know", lambda params, p: p, _score_linearisation
+        "P_UU below what a linear model can know", lambda p: p, _score_linearisation
     ),
 }
 """All triggers by name; ``[resets] reset_trigger`` names one."""
