@@ -105,7 +105,7 @@ def _add_position(
 
 
 def _fit_positions(sums: PositionSums, count: Scalar) -> Quat:
-    """Return C_{b0}^{n0} from a and b without their linear trend."""
+    """Return C_{b0}^{n0} from a and b without their linear trends, as a pair that is taken away."""
     squares = jnp.maximum(count * (count + 1) * (2 * count + 1) / 6, 1.0)
     a, b = sums.measured_trend, sums.expected_trend
     return _solve_wahba(_add_pair(sums.pairs, b, a, -squares))
@@ -122,15 +122,9 @@ POSITION_FIT = Fit(PositionSums(*(ZERO,) * 5, _NO_PAIRS), _add_position, _fit_po
 def _solve_wahba(sums: PairSums) -> Quat:
     """Return C_{b0}^{n0} by Davenport: the dominant eigenvector of K of B = sum of x y'."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = sums.products
-    return dominant_eigenvector(
-        (
-            *(xx + yy + zz, zy - yz, xz - zx, yx - xy),
-            *(xx - yy - zz, xy + yx, xz + zx),
-            *(yy - xx - zz, yz + zy),
-            zz - xx - yy,
-        ),
-        sums.weight,
-    )
+    first = xx + yy + zz, zy - yz, xz - zx, yx - xy
+    second, third = (xx - yy - zz, xy + yx, xz + zx), (yy - xx - zz, yz + zy)
+    return dominant_eigenvector((*first, *second, *third, zz - xx - yy), sums.weight)
 
 
 _STARTS = ((1.0, 2.0, -3.0, 5.0), (-2.0, 3.0, 5.0, 1.0))
