@@ -26,8 +26,7 @@ from support.studies import small_study
 
 from sinsjax.engine.build import Scenario
 from sinsjax.methods.compass import REVERSALS
-from sinsjax.methods.floors import NO_BIASES
-from sinsjax.methods.method import UNKNOWN_ANGLE, Options, RunEnd
+from sinsjax.methods.method import UNKNOWN_ANGLE, Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
 
@@ -66,16 +65,6 @@ def numbers(name, **changes):
         return params_of_study(name)
     given, extra = paper_params(FACTS[name].states, **changes), FACTS[name].extra
     return given if extra is None else given._replace(extra=np.float64(extra))
-
-
-@pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].has_floor])
-def test_bias_floor_is_zero_without_biases(name):
-    params, here = params_of_study(name), site(PAPER, LATITUDE).place
-    for backward in (False, True):
-        end = RunEnd(np.float64(RATE * SECONDS), np.asarray(backward))
-        floor = method_of(name).floor(params, here, NO_BIASES, end)
-        np.testing.assert_allclose([*floor.phi], 0.0, rtol=0, atol=1e-15)
-        assert floor.no_north != METHODS[name].finds_heading
 
 
 # Its steps

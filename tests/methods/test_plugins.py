@@ -1,7 +1,4 @@
-"""Plug-in methods: what is loaded and what is refused.
-
-`acceptance/test_plugin_methods.py` installs a package with one, and breaks its promises.
-"""
+"""Plug-in methods: what is loaded and refused; `acceptance` installs one and breaks its promises."""
 
 import sys
 from importlib.metadata import EntryPoint

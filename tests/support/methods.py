@@ -1,4 +1,4 @@
-"""The one table of all methods in the tests: what holds of them beside their descriptions."""
+"""What holds of some methods in the tests, beside what a `Method` says."""
 
 from typing import NamedTuple
 
@@ -25,15 +25,8 @@ TEN = (*FIVE, "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
 FACTS = {
     "kalman5": MethodFacts(FIVE, stays_at_truth=True),
     "kalman10": MethodFacts(TEN, stays_at_truth=True),
-    "kalman_sincos": MethodFacts(),
-    "kalman_surge": MethodFacts(),
     "ekf_azimuth": MethodFacts(FIVE, stays_at_truth=True, extra=1.0),
     "invariant": MethodFacts(FIVE, stays_at_truth=True),
     "unscented": MethodFacts(),  # its sigma points lie across the circle, so their mean is off
-    "optimisation": MethodFacts(),
-    "optimisation_position": MethodFacts(),
-    "inertial": MethodFacts(),
-    "gravity_fit": MethodFacts(),
     "compass": MethodFacts(stays_at_truth=True),
-    "level": MethodFacts(),
 }
