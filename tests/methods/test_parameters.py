@@ -43,27 +43,23 @@ def refusal(**tables: Any) -> str:
     return line
 
 
+def all_of(gains: Any) -> np.ndarray:
+    return np.stack(gains, axis=-1)
+
+
 def test_default_compass_gains_match_paper2_except_level_k3() -> None:
     made = numbers()
-    np.testing.assert_allclose(
-        np.stack(made.level, axis=-1)[0][:2], PRINTED["level_gains"][:2], rtol=5e-11
-    )
+    np.testing.assert_allclose(all_of(made.level)[0][:2], PRINTED["level_gains"][:2], rtol=5e-11)
     np.testing.assert_allclose(made.level.k3, PRINTED["level_gains"][2] / 50, rtol=1e-8)
-    np.testing.assert_allclose(
-        np.stack(made.azimuth, axis=-1)[0], PRINTED["azimuth_gains"], rtol=1e-4
-    )
+    np.testing.assert_allclose(all_of(made.azimuth)[0], PRINTED["azimuth_gains"], rtol=1e-4)
 
 
 def test_compass_gains_follow_sigma_damping_and_adjustment_time() -> None:
     compass = {"level_sigma_per_s": 0.03, "level_damping": 0.6}
     made = numbers(compass=compass | {"azimuth_sigma_per_s": 0.02, "azimuth_damping": 0.8})
     earth = {"gravity": G, "radius": R}
-    np.testing.assert_allclose(
-        np.stack(made.level, axis=-1)[0], design.level_gains(0.03, 0.6, **earth)
-    )
-    np.testing.assert_allclose(
-        np.stack(made.azimuth, axis=-1)[0], design.azimuth_gains(0.02, 0.8, **earth)
-    )
+    np.testing.assert_allclose(all_of(made.level)[0], design.level_gains(0.03, 0.6, **earth))
+    np.testing.assert_allclose(all_of(made.azimuth)[0], design.azimuth_gains(0.02, 0.8, **earth))
     period = numbers(compass={"level_adjustment_s": 150.0, "azimuth_adjustment_s": 450.0})
     np.testing.assert_allclose(period.level.k1, 3 * 2 * np.pi / 150)
     np.testing.assert_allclose(period.azimuth.k1, 2 * 2 * np.pi / 450)

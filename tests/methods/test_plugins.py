@@ -1,4 +1,4 @@
-"""Plug-in methods: what is loaded and refused; `acceptance` installs one and breaks its promises."""
+"""Plug-in methods: what loads; `acceptance` installs a package with one and breaks its promises."""
 
 import sys
 from importlib.metadata import EntryPoint
