@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.dataset as ds
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sinsjax import columns, gone
@@ -67,7 +67,7 @@ def read_summary(
         >>> sinsjax.read_summary("out", ["run_id", "status"], run_ids=[4]).to_pylist()
         [{'run_id': 4, 'status': 'ok'}]
     """
-    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    rows = None if run_ids is None else pc.field("run_id").isin(run_ids)
     return _read_sorted(directory, "summary", names, ["run_id"], verify=verify, rows=rows)
 
 
@@ -92,7 +92,7 @@ def read_curves(
     """
     if not has_dataset(directory, "curves", verify=verify):
         return columns.arrow_schema(columns.CURVES).empty_table()
-    rows = None if run_ids is None else ds.field("run_id").isin(run_ids)
+    rows = None if run_ids is None else pc.field("run_id").isin(run_ids)
     return _read_sorted(directory, "curves", None, ["run_id", "time_s"], verify=verify, rows=rows)
 
 
@@ -174,14 +174,14 @@ def has_dataset(directory: str | Path, name: str, *, verify: bool = True) -> boo
 
 
 def query_dataset(
-    directory: str | Path, name: str, function: Callable[[ds.Dataset], Any], *, verify: bool = True
+    directory: str | Path, name: str, function: Callable[[Any], Any], *, verify: bool = True
 ) -> Any:
     """Apply a function to a dataset.
 
     Args:
         directory: results directory.
         name: name of the dataset.
-        function: function of the dataset that returns the result.
+        function: function of the `pyarrow.dataset.Dataset` that returns the result.
         verify: whether to verify the parts first.
 
     Raises:
@@ -195,6 +195,8 @@ def query_dataset(
             text = "estimates by covariance analysis, which only version 1.0 reads"
         raise InputError(f"{directory}: contains {text}")
     parts = list_parts(directory, name)
+    import pyarrow.dataset as ds  # late: it imports pandas where that is installed
+
     try:
         if verify:
             _verify_parts(directory, name, parts)
@@ -234,9 +236,9 @@ def _read_sorted(
     order: Sequence[str],
     *,
     verify: bool,
-    rows: ds.Expression | None = None,
+    rows: Any = None,
 ) -> pa.Table:
-    def select_rows(dataset_: ds.Dataset) -> pa.Table:
+    def select_rows(dataset_: Any) -> pa.Table:
         known_columns = dataset_.schema.names
         selected = known_columns if names is None else list(names)
         if missing := [name for name in selected if name not in known_columns]:
