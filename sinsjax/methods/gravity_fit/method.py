@@ -184,7 +184,7 @@ class GravityFitSection(Section):
         "1 sigma of each gyro's scale factor error, ppm"
     )
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
-        _believed("1 sigma of each gyro axis towards another axis, arcsec")
+        _believed("1 sigma of each cross-axis error of the gyros, arcsec")
     )
     fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = _believed(
         "1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis", "that of [motion]"
