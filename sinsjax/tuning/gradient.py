@@ -228,14 +228,14 @@ class _Program(NamedTuple):
 
     Attributes:
         group: of the runs, with variants for each descent.
-        keys: of the variants of one descent.
+        params: points of all descents -> params of their variants, and derivatives.
         plan: of its calls.
         jitted: the program.
         active: numbers of the leaves of the params that depend on the variables.
     """
 
     group: Group
-    keys: Variants
+    params: Callable[[NDArray], tuple[Any, Any]]
     plan: Plan
     jitted: Any
     active: tuple[int, ...]
@@ -322,15 +322,17 @@ class Slope:
         )
         variants = self._starts * group.sizes[1]
         group = group._replace(variants=lanes_of)
-        middle = np.full((1, len(self._parameters.variables)), 0.5)
-        _, slopes = self._parameters.slopes(group.static.method, keys, middle)
+        params = self._parameters.differentiate(group.static.method, keys)
+        middle = np.full((self._starts, len(self._parameters.variables)), 0.5)
+        _, slopes = params(middle)
         active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
         runs, devices = self.draws * variants, len(jax.devices())
         # Few runs need fewer lanes; a call has at least two blocks for each device.
         lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
         plan = Plan(group.static, self.draws, variants, tiles_per_chunk=tiles, lanes=lanes)
-        return _Program(group, keys, plan, jax.jit(partial(self._differentiate, group)), (*active,))
+        jitted = jax.jit(partial(self._differentiate, group))
+        return _Program(group, params, plan, jitted, (*active,))
 
     def _run(
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
@@ -363,7 +365,7 @@ class Slope:
     ) -> list[tuple]:
         """Return the arguments of every call of a program."""
         group = program.group
-        params, slopes = self._parameters.slopes(group.static.method, program.keys, box)
+        params, slopes = program.params(box)
         width = None
         if self._parameters.moves_resets:
             width = np.full(len(group.variants.ve), softness.window_s * self._rate_hz)
@@ -508,7 +510,7 @@ class TunedParams:
         for name in set(methods):
             ids = np.array([methods.index(name)])
             keys = Variants(based, ids, site=_ANY_SITE, micro_g=micro_g())
-            _, slopes = self.slopes(name, keys, np.full((1, len(moved)), 0.5))
+            _, slopes = self.differentiate(name, keys)(np.full((1, len(moved)), 0.5))
             for leaf in jax.tree.leaves(slopes):
                 moved |= np.any(leaf, axis=(0, *range(2, leaf.ndim)))
         for variable, is_moved in zip(self.variables, moved, strict=True):
@@ -535,17 +537,16 @@ class TunedParams:
         with jax.numpy_dtype_promotion("standard"):  # as NumPy, which params are written for
             return METHODS[method].params(_TunedKeys(keys, tuned), jnp)
 
-    def slopes(self, method: str, keys: Variants, box: NDArray) -> tuple[Any, Any]:
-        """Return the params at the points of all starts, and their derivatives.
+    def differentiate(self, method: str, keys: Variants) -> Callable[[NDArray], tuple[Any, Any]]:
+        """Return a function of the points of all starts, compiled once: params and derivatives.
 
         Args:
             method: its name.
             keys: keys of variants with this method.
-            box: (starts, p) positions of the variables in their ranges, 0 to 1.
 
         Returns:
-            The params, leaves (starts * variants, ...), and their derivatives, leaves
-            (starts * variants, p, ...).
+            (starts, p) positions of the variables in their ranges, 0 to 1 -> the params, leaves
+            (starts * variants, ...), and their derivatives, leaves (starts * variants, p, ...).
         """
         at = partial(self.at, method, keys)
 
@@ -554,8 +555,8 @@ class TunedParams:
             value, slope = sensitivities(at, place, directions)
             return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
 
-        whole = jax.jit(jax.vmap(of_start))(box)
-        return jax.tree.map(lambda a: np.concatenate(np.asarray(a)), whole)
+        of_starts = jax.jit(jax.vmap(of_start))
+        return lambda box: jax.tree.map(lambda a: np.concatenate(np.asarray(a)), of_starts(box))
 
 
 _ANY_SITE = Site(earth.wgs84(0.0), earth.place(earth.wgs84(0.0), 45 * DEG), 45 * DEG)
