@@ -3,9 +3,11 @@
 Values stay in the file's units. A broken rule raises `rule_error` with a message in a user's terms.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 from inspect import signature
 from itertools import combinations, pairwise
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple, get_args
 
 from pydantic import (
@@ -67,6 +69,7 @@ class KeyInfo(NamedTuple):
     factor: float | None = None
 
 
+@cache
 def keys_of(function: Callable[..., Any]) -> tuple[str, ...]:
     """Return the keys of a study that a function takes: its parameters but ``rate_hz``."""
     return tuple(name for name in signature(function).parameters if name != "rate_hz")
@@ -250,11 +253,13 @@ class Section(BaseModel):
         cls.exclusive = (*cls.exclusive, *pairs)
 
     @classmethod
-    def alternatives(cls, first: str) -> dict[str, float]:
+    @cache
+    def alternatives(cls, first: str) -> Mapping[str, float]:
         """Return the keys that give a quantity, with their factors to the unit of the first."""
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
         same = {key: info for key, info in infos.items() if info.alternative_to == first}
-        return {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
+        factors = {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
+        return MappingProxyType(factors)
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

@@ -141,7 +141,7 @@ class ProcessNoise(NamedTuple):
     density: Callable[..., float | None]
 
     @property
-    def forms(self) -> dict[str, float]:
+    def forms(self) -> Mapping[str, float]:
         """Its keys, with their factors to the unit of the first."""
         return FilterSection.alternatives(self.key)
 
