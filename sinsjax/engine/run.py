@@ -608,7 +608,7 @@ def finish_run(method: Program, site: Site, run: Run, floor: BiasFloor) -> Outco
 def _covariance(method: Program, state: Any) -> AttitudeCovariance:
     """Return the covariance of the attitude; NaN of a method without one."""
     if method.covariance is None:
-        return unknown_covariance(method.attitude(state).w)
+        return unknown_covariance(state.nav.ve)
     return method.covariance(state)
 
 

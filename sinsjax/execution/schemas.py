@@ -78,10 +78,11 @@ def _key_columns(study: Study) -> list[Column]:
 def method_columns(study: Study) -> dict[str, OwnColumn]:
     """Return the columns specific to the study's methods, by name; methods may share a column."""
     methods = (method for name, method in METHODS.items() if name in study.methods)
+    keys = Variants.all_of(study)
     return {
         method_column.column.name: method_column
         for method in methods
-        for method_column in method.own_columns(Variants.all_of(study))
+        for method_column in method.own_columns(keys)
     }
 
 
