@@ -9,10 +9,9 @@ import jax
 import numpy as np
 from timing import Workload
 
-from sinsjax.engine.batch import compile_program, map_in_threads, plan
-from sinsjax.engine.build import parts
-from sinsjax.engine.environment import Draw, RunParams
-from sinsjax.engine.lanes import LANES, STACKED_TILES, Group, Tiles, tiles_of
+from sinsjax.engine.batch import LANES, STACKED_TILES, Batch, map_in_threads, trace_program
+from sinsjax.engine.inputs import Draw, RunParams, Tiles
+from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.assets import asset_path
 from sinsjax.study.keys import TomlTable
@@ -48,19 +47,18 @@ def _default_tables() -> TomlTable:
     return parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
 
 
-def _group_of(tables: TomlTable) -> Group:
-    (part,) = parts(study_from_dict(tables, _DEFAULT))
-    return part.group
+def _group_of(tables: TomlTable) -> Batch:
+    return Scenario(study_from_dict(tables, _DEFAULT)).batch(0)
 
 
 @cache
-def default_group() -> Group:
+def default_group() -> Batch:
     """The group of runs of the default sweep, ``configs/reset_sweep.toml``."""
     return _group_of(_default_tables())
 
 
 @cache
-def method_group(method: str) -> Group:
+def method_group(method: str) -> Batch:
     """The default sweep with another method, without the keys that the method does not read."""
     data = _default_tables()
     if METHODS[method].gyro_bias_keys or not METHODS[method].has_floor:
@@ -77,7 +75,7 @@ def method_group(method: str) -> Group:
 
 
 @cache
-def compass_group(record_s: float | None = None) -> Group:
+def compass_group(record_s: float | None = None) -> Batch:
     """The default sweep with compass loops, over a stored record of this length if given."""
     data = _default_tables()
     del data["alignment"]["specific_force"], data["alignment"]["feedback_interval_s"]
@@ -90,43 +88,43 @@ def compass_group(record_s: float | None = None) -> Group:
     return _group_of(data)
 
 
-def remove_noise(group: Group) -> Group:
+def remove_noise(group: Batch) -> Batch:
     """The group without sensor noise."""
-    model, static = group.environment.sensors, group.static
+    model, spec = group.environment.sensors, group.spec
     quiet = model.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(
-        static=static._replace(sensors=static.sensors._replace(noisy=False)),
+        spec=spec._replace(sensors=spec.sensors._replace(noisy=False)),
         environment=group.environment._replace(sensors=model._replace(errors=quiet)),
     )
 
 
-def shared_covariance_group(group: Group) -> Group:
+def shared_covariance_group(group: Batch) -> Batch:
     """A tenth of the group's duration, with A(t) of a base at rest: draws share a covariance."""
-    options = group.static.options._replace(specific_force="gravity")
-    group = group._replace(static=group.static._replace(options=options))
-    return shorten_runs(group, max(2, group.static.records // 10))
+    options = group.spec.options._replace(specific_force="gravity")
+    group = group._replace(spec=group.spec._replace(options=options))
+    return shorten_runs(group, max(2, group.spec.intervals // 10))
 
 
-def set_feedback_every_sample(group: Group) -> Group:
+def set_feedback_every_sample(group: Batch) -> Batch:
     """The group with feedback at every sample."""
-    method = group.variants.method
+    method = group.params.method
     ones = np.ones_like(method.feedback.every)
     method = method._replace(feedback=method.feedback._replace(every=ones))
-    return group._replace(variants=group.variants._replace(method=method))
+    return group._replace(params=group.params._replace(method=method))
 
 
-def select_last_variants(group: Group, n_variants: int, min_runs: int = 0) -> Group:
+def select_last_variants(group: Batch, n_variants: int, min_runs: int = 0) -> Batch:
     """The group with its last variants only, and enough draws for `TILES` and a number of runs."""
     draws = _draw_count(n_variants, min_runs)
+    q = jax.tree.map(lambda a: np.full(draws, a[0]), group.draws.q)
     return group._replace(
-        variants=_last_variants(group, n_variants),
-        draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int)),
-        q=np.tile(group.q[:1], (draws, 1)),
+        params=_last_variants(group, n_variants),
+        draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int), q),
     )
 
 
 @cache
-def disturbed_group(n_variants: int) -> Group:
+def disturbed_group(n_variants: int) -> Batch:
     """`select_last_variants` of the default sweep with surge, a lever arm and bias instability."""
     data = _default_tables()
     for name, keys in _DISTURBED.items():
@@ -135,7 +133,7 @@ def disturbed_group(n_variants: int) -> Group:
 
 
 @cache
-def drawn_motion_group(n_variants: int) -> Group:
+def drawn_motion_group(n_variants: int) -> Batch:
     """`select_last_variants` of the default sweep with a different base motion for each draw."""
     data = _default_tables()
     data["study"]["draws"] = _draw_count(n_variants)
@@ -145,34 +143,33 @@ def drawn_motion_group(n_variants: int) -> Group:
         key: {"uniform": ends} for key, ends in _MOTION_RANGES.items()
     }
     group = _group_of(data)
-    return group._replace(variants=_last_variants(group, n_variants))
+    return group._replace(params=_last_variants(group, n_variants))
 
 
 def _draw_count(n_variants: int, min_runs: int = 0) -> int:
     return max(min_runs, TILES * STACKED_TILES * max(LANES, n_variants)) // n_variants + 1
 
 
-def _last_variants(group: Group, n_variants: int) -> RunParams:
-    variants: RunParams = jax.tree.map(lambda a: a[-n_variants:], group.variants)
+def _last_variants(group: Batch, n_variants: int) -> RunParams:
+    variants: RunParams = jax.tree.map(lambda a: a[-n_variants:], group.params)
     return variants
 
 
-def shorten_runs(group: Group, records: int) -> Group:
+def shorten_runs(group: Batch, records: int) -> Batch:
     """The group with shorter runs, in record intervals."""
-    return group._replace(static=group.static._replace(records=records))
+    return group._replace(spec=group.spec._replace(intervals=records))
 
 
 def engine_workload(
-    name: str, group: Group, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
+    name: str, group: Batch, *, tiles: int = TILES, lanes: int = LANES, devices: int = 1
 ) -> Workload:
     """The compiled function of `sweep` on its first calls for a group, one a device."""
-    draws, variants = group.sizes
-    calls = plan(group, tiles_per_chunk=tiles, lanes=lanes)
-    places = [calls[i % len(calls)] for i in range(devices)]
-    runs = sum(int(np.sum((p.draw < draws) & (p.variant < variants))) for p in places)
-    arguments = [(group.environment, tiles_of(group, p)) for p in places]
+    layout = group.lay_out(tiles_per_chunk=tiles, lanes=lanes)
+    chunks = [i % len(layout) for i in range(devices)]
+    runs = sum(len(layout.active(chunk).lane) for chunk in chunks)
+    arguments = [(group.environment, layout.tiles_of(group, chunk)) for chunk in chunks]
     since = time.perf_counter()
-    program = compile_program(group, arguments[0][1])
+    program = trace_program(group, layout).compiled()
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 
@@ -188,11 +185,11 @@ def engine_workload(
         return clock() - since
 
     call()
-    steps = group.static.records * group.static.record_every
+    steps = group.spec.intervals * group.spec.interval_samples
     return Workload(name, runs, steps, compile_s, call, devices=devices)
 
 
-def _silent(name: str, group: Group) -> Workload:
+def _silent(name: str, group: Batch) -> Workload:
     return engine_workload(name, remove_noise(group))
 
 

@@ -8,8 +8,7 @@ import jax
 from cases import TILES, default_group, method_group
 from timing import Row
 
-from sinsjax.engine.batch import compile_program, plan
-from sinsjax.engine.lanes import tiles_of
+from sinsjax.engine.batch import trace_program
 
 NAMES = ("kalman5", "kalman10", "unscented", "compass", "optimisation")
 
@@ -19,12 +18,12 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     out = []
     for name in NAMES[:1] if quick else NAMES:
         group = default_group() if name == "kalman5" else method_group(name)
-        tiles = tiles_of(group, plan(group, tiles_per_chunk=TILES)[0])
+        layout = group.lay_out(tiles_per_chunk=TILES)
         taken = []
         for _ in range(repeats):
             jax.clear_caches()
             since = time.process_time()
-            compile_program(group, tiles)
+            trace_program(group, layout).compiled()
             taken.append(time.process_time() - since)
         spread = (max(taken) - min(taken)) / 2
         median = statistics.median(taken)

@@ -11,8 +11,7 @@ import common
 from cases import default_group, shorten_runs
 from timing import Row
 
-from sinsjax.engine.batch import compile_program, plan
-from sinsjax.engine.lanes import tiles_of
+from sinsjax.engine.batch import trace_program
 from sinsjax.errors import InputError
 
 TILE_COUNTS = (2, 8, 32)
@@ -47,12 +46,12 @@ def rows(quick: bool, repeats: int) -> list[Row]:
 def of_call(tiles: int, records: int, *, curves: bool) -> Row:
     """What the compiled function of `sweep` needs for one call."""
     group = shorten_runs(default_group(), records)
-    group = group._replace(static=group.static._replace(curves=curves))
-    places = plan(group, tiles_per_chunk=tiles)[0]
-    found = compile_program(group, tiles_of(group, places)).memory_analysis()
+    group = group._replace(spec=group.spec._replace(curves=curves))
+    layout = group.lay_out(tiles_per_chunk=tiles)
+    found = trace_program(group, layout).compiled().memory_analysis()
     total = found.argument_size_in_bytes + found.output_size_in_bytes + found.temp_size_in_bytes
     name = f"memory_call_{tiles}_tiles{'_curves' if curves else ''}"
-    runs = places.draw.size
+    runs = layout[0].draw.size
     return {"name": name, "runs": runs, "bytes_per_run": round(total / runs)}
 
 

@@ -15,9 +15,9 @@ from cases import (
 from limit import find_compiler, limit_kernel_workload
 from timing import Row, measure_relative_to_base
 
-from sinsjax.engine.lanes import Group
+from sinsjax.engine.batch import Batch
 
-MADE: dict[str, Callable[[Group], Group]] = {
+MADE: dict[str, Callable[[Batch], Batch]] = {
     "kalman_shared_record": lambda silent: silent,
     "kalman_feedback_each_sample": set_feedback_every_sample,
     "kalman_shared_covariance": shared_covariance_group,

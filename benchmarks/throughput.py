@@ -11,7 +11,7 @@ from cases import (
 )
 from timing import Row, Workload, measure_workloads
 
-from sinsjax.engine.lanes import LANES, Group
+from sinsjax.engine.batch import LANES, Batch
 
 LANE_COUNTS = (16, 32, 48, 64, 80, 96, 128, 192, 256)
 TILE_COUNTS = (2, 4, 8, 16, 32)
@@ -28,13 +28,13 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     """
     noisy = shorten_runs(default_group(), 2 if quick else 90)
     silent = remove_noise(noisy)
-    every = silent.sizes[1]
-    storing = silent._replace(static=silent.static._replace(curves=True))
+    every = silent.n_variants
+    storing = silent._replace(spec=silent.spec._replace(curves=True))
     cases: list[Workload] = []
     sizes: list[Row] = []
 
     def add(
-        name: str, group: Group, *, lanes: int = LANES, tiles: int = TILES, variants: int = every
+        name: str, group: Batch, *, lanes: int = LANES, tiles: int = TILES, variants: int = every
     ) -> None:
         cases.append(engine_workload(name, group, tiles=tiles, lanes=lanes))
         sizes.append({"lanes": lanes, "tiles": tiles, "variants": variants})

@@ -8,7 +8,7 @@ from functools import cache
 from inspect import signature
 from itertools import combinations, pairwise
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 from pydantic import (
     AfterValidator,
@@ -36,6 +36,9 @@ def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
+Effect = Literal["sway", "noise", "bias", "distortion", "quantum", "process", "process_shape"]
+
+
 class KeyInfo(NamedTuple):
     """Properties of a study key in addition to its type and meaning.
 
@@ -56,6 +59,10 @@ class KeyInfo(NamedTuple):
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
         factor: from its unit to that of ``alternative_to``.
+        acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
+            nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
+            error. 'distortion': constant error in proportion to what a sensor measures. 'quantum':
+            resolution. 'process': size of a random process. 'process_shape': a number of one.
     """
 
     usual_range: tuple[float, float] | None = None
@@ -67,6 +74,7 @@ class KeyInfo(NamedTuple):
     time: str | None = None
     alternative_to: str | None = None
     factor: float | None = None
+    acts_as: Effect | None = None
 
 
 @cache
@@ -171,7 +179,7 @@ Seconds = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e8))]
 SecondsOrZero = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e8))]
 Period = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e7))]
 Band = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180 * 60))]
-Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 360))]
+Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 360), acts_as="sway")]
 Speed = Annotated[Finite, KeyInfo(usual_range=(-1e4, 1e4))]
 SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 1e4))]
 AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 360))]

@@ -34,7 +34,7 @@ from sinsjax.arena import given
 from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
 from sinsjax.arena.readme import RECORDS, describe_export
 from sinsjax.arena.runs import ProgramRuns, check_simulated
-from sinsjax.engine.build import simulated_records
+from sinsjax.engine.simulated_record import simulated_records
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path
@@ -270,9 +270,9 @@ class _Writer:
         """Yield the paths of the records, and functions that write them."""
         plan, layout = self._plan, record_layout(self._plan.options)
         for number in range(plan.runs.environments):
-            group = plan.runs.group(plan.runs.part_of(number), plan.draws)
-            places = np.arange(len(plan.draws))
-            records = simulated_records(plan.runs.study, group.select(places, np.arange(1)))
+            batch = plan.runs.batch(plan.runs.part_of(number), plan.draws)
+            study = plan.runs.study
+            records = simulated_records(batch, study.rate_hz, study.name)
             for draw, record in zip(plan.draws, records, strict=True):
 
                 def write(path: Path, record: Any = record) -> None:
@@ -348,7 +348,7 @@ def initial_rows(plan: ExportPlan) -> dict[str, NDArray]:
     tasks = runs.tasks(plan.draws)
     starts: dict[tuple[int, int], Any] = {}
     for part in runs.parts:
-        found = np.stack(jax.tree.leaves(given.find_starts(runs.group(part, plan.draws))), axis=-1)
+        found = np.stack(jax.tree.leaves(given.find_starts(runs.batch(part, plan.draws))), axis=-1)
         keys = product(plan.draws, (runs.points[point].number for point in part.points))
         starts |= {(point, draw): row for (draw, point), row in zip(keys, found, strict=True)}
     keys_of_tasks = zip(tasks.point.tolist(), tasks.draw.tolist(), strict=True)
@@ -408,7 +408,7 @@ def _truth_parquet(plan: ExportPlan) -> bytes:
     writer = None
     for number in range(runs.environments):
         part = runs.part_of(number)
-        truth = given.true_attitudes_at_records(runs.group(part, plan.draws))
+        truth = given.true_attitudes_at_records(runs.batch(part, plan.draws))
         time_s = runs.study.update_times(runs.study.spans[part.ids[0]])
         for place, draw in enumerate(plan.draws):
             attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))

@@ -1,6 +1,6 @@
 """Runs of a program outside sinsjax: the starts that it is given, and its attitudes judged.
 
-The runs are those of a group with a method of `build_external`. The attitudes take the place of
+The runs are those of a batch with a method of `build_external`. The attitudes take the place of
 its own, and pass through the same observation, metrics and criteria as those of any run.
 """
 
@@ -11,15 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine.environment import Environment, Static, computed_attitudes, stored_attitude
-from sinsjax.engine.lanes import Group, Tiles
+from sinsjax.engine.batch import Batch
+from sinsjax.engine.inputs import (
+    Environment,
+    ProgramSpec,
+    Tiles,
+    stored_attitude,
+)
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.run import Run, set_up
-from sinsjax.engine.samples import leaf_axes
+from sinsjax.engine.run import Intervals, Run, set_up
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import multiply, normalise
 from sinsjax.methods.method import AttitudeCovariance, Options, Program, unknown_covariance
-from sinsjax.types import Array, Count, Quat
+from sinsjax.types import Array, Quat
 
 
 class ExternalState(NamedTuple):
@@ -84,39 +88,39 @@ class GivenAttitudes(NamedTuple):
     unknown_until: Array
 
 
-def find_starts(group: Group) -> Start:
-    """Return the starts of all runs of a group, by draw and variant, leaves (draws * variants,)."""
-    return jax.tree.map(np.asarray, _find_starts(group.static, group.environment, _tile(group)))
+def find_starts(batch: Batch) -> Start:
+    """Return the starts of all runs of a batch, by draw and variant, leaves (draws * variants,)."""
+    return jax.tree.map(np.asarray, _find_starts(batch.spec, batch.environment, _tile(batch)))
 
 
-def true_attitudes_at_records(group: Group) -> Quat:
-    """Return the true attitudes of the draws of a group, leaves (records, draws)."""
-    return jax.tree.map(np.asarray, _true_attitudes(group.static, group.environment, _tile(group)))
+def true_attitudes_at_records(batch: Batch) -> Quat:
+    """Return the true attitudes of the draws of a batch, leaves (intervals, draws)."""
+    return jax.tree.map(np.asarray, _true_attitudes(batch.spec, batch.environment, _tile(batch)))
 
 
-def judge(group: Group, given: GivenAttitudes) -> Outcome:
-    """Return the outcomes of all runs of a group, by draw and variant.
+def judge(batch: Batch, given: GivenAttitudes) -> Outcome:
+    """Return the outcomes of all runs of a batch, by draw and variant.
 
     Args:
-        group: of the program's method.
+        batch: of the program's method.
         given: attitudes of draws * variants runs.
     """
-    outcome = _judge(group.static, group.environment, _tile(group), given)
+    outcome = _judge(batch.spec, batch.environment, _tile(batch), given)
     return jax.tree.map(np.asarray, outcome)
 
 
-def _tile(group: Group) -> Tiles:
-    """Return the arguments of one tile with all runs of a group."""
-    draws, variants = group.sizes
-    row = np.repeat(np.arange(draws, dtype=np.int32), variants)
-    params = jax.tree.map(lambda a: np.tile(a, (draws, *(1,) * (np.ndim(a) - 1))), group.variants)
-    q = Quat(*np.moveaxis(np.asarray(group.q)[row], -1, 0))
-    return Tiles(group.draws, row, params._replace(q=q))
+def _tile(batch: Batch) -> Tiles:
+    """Return the arguments of one tile with all runs of a batch."""
+    row = np.repeat(np.arange(batch.n_draws, dtype=np.int32), batch.n_variants)
+    params = jax.tree.map(
+        lambda a: np.tile(a, (batch.n_draws, *(1,) * (np.ndim(a) - 1))), batch.params
+    )
+    return Tiles(batch.draws, row, params)
 
 
 @partial(jax.jit, static_argnums=0)
-def _find_starts(static: Static, environment: Environment, tile: Tiles) -> Start:
-    runs = set_up(static, environment, tile)
+def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Start:
+    runs = set_up(spec, environment, tile)
     params, attitude = runs.params, runs.start().state.attitude
     place = (runs.site.latitude, runs.site.earth.height, runs.site.place.gravity)
     of_runs = (jnp.broadcast_to(number, params.ve.shape) for number in place)
@@ -124,39 +128,35 @@ def _find_starts(static: Static, environment: Environment, tile: Tiles) -> Start
 
 
 @partial(jax.jit, static_argnums=0)
-def _true_attitudes(static: Static, environment: Environment, tile: Tiles) -> Quat:
-    draws, truth = tile.draws, environment.truth
-    numbers = jnp.arange(static.records)
-    if draws.motion is None:
-        look_up = jax.vmap(lambda number: stored_attitude(truth, draws, number))
-        attitudes = look_up(numbers)
-    else:
-        compute = partial(computed_attitudes, truth, records=static.records)
-        attitudes = jax.vmap(compute, in_axes=(leaf_axes(draws),), out_axes=1)(draws)
-    turns = set_up(static, environment, tile).sensors.housing_turns(
-        static.records, static.record_every
-    )
+def _true_attitudes(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Quat:
+    runs = set_up(spec, environment, tile)
+    numbers, attitudes = runs.intervals()
+    if attitudes is None:
+        look_up = partial(stored_attitude, environment.truth, tile.draws)
+        attitudes = jax.vmap(look_up)(numbers)
+    turns = runs.sensors.housing_turns(spec.intervals)
     if turns is None:
         return attitudes
     return multiply(attitudes, jax.tree.map(lambda a: a[1:], turns))
 
 
 @partial(jax.jit, static_argnums=0)
-def _judge(static: Static, environment: Environment, tile: Tiles, given: GivenAttitudes) -> Outcome:
-    runs = set_up(static, environment, tile)
-    turns = runs.sensors.housing_turns(static.records, static.record_every)
+def _judge(
+    spec: ProgramSpec, environment: Environment, tile: Tiles, given: GivenAttitudes
+) -> Outcome:
+    runs = set_up(spec, environment, tile)
+    turns = runs.sensors.housing_turns(spec.intervals)
 
-    def observe(run: Run, row: tuple[Count, Quat | None, GivenAttitudes]) -> tuple[Run, None]:
-        number, q_true, now = row
+    def observe(run: Run, row: tuple[Intervals, GivenAttitudes]) -> tuple[Run, None]:
+        interval, now = row
         state = ExternalState(now.attitude, now.covariance)
-        turn = turns and jax.tree.map(lambda a: a[number + 1], turns)
-        observed = runs.observe(Run(state, run.metrics), number, q_true, turn)
+        turn = turns and jax.tree.map(lambda a: a[interval.number + 1], turns)
+        observed = runs.observe(Run(state, run.metrics), interval, turn)
         return jax.vmap(select_tree)(now.present, observed, run), None
 
-    numbers, q_true = runs.records()
     first = runs.start()
     until = given.unknown_until[:, None, None] + first.metrics.outside_until
     first = first._replace(metrics=first.metrics._replace(outside_until=until))
     rows = given._replace(unknown_until=jnp.zeros_like(given.present[:, :1]))
-    last, _ = jax.lax.scan(observe, first, (numbers, q_true, rows))
+    last, _ = jax.lax.scan(observe, first, (runs.intervals(), rows))
     return runs.finish(last)

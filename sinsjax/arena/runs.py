@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.arena.given import build_external
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.lanes import Group
+from sinsjax.engine.batch import Batch
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
 from sinsjax.methods.method import INITIAL_KEYS
@@ -160,9 +160,9 @@ class ProgramRuns:
         order = np.argsort(run_id, kind="stable")
         return Tasks(*(column[order] for column in columns))
 
-    def group(self, part: ProgramPart, draws: range) -> Group:
-        """Return the group of a part with its tasks as variants."""
-        return self.scenario.part(part.number, draws, variants=part.places).group
+    def batch(self, part: ProgramPart, draws: range) -> Batch:
+        """Return the runs of a part with its tasks as variants."""
+        return self.scenario.batch(part.number, draws, variants=part.places)
 
     @property
     def samples(self) -> int:

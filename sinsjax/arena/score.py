@@ -268,7 +268,7 @@ def _judge(
             run = np.array([places[point, draw] for draw in some for point in part.points])
             attitudes, final_only = _attitudes(runs.study, records, given, run, len(missing))
             missing[run] = ~np.isfinite(attitudes.attitude.w[-1])
-            outcome = engine.judge(runs.group(part, some), attitudes)
+            outcome = engine.judge(runs.batch(part, some), attitudes)
             tables.append(_program_rows(runs, builder, part, some, outcome, final_only))
     return pa.concat_tables(tables), np.flatnonzero(missing)
 
@@ -408,7 +408,7 @@ def _suspect(
         [table[f"phi_{a}_arcmin"].to_numpy(zero_copy_only=False) for a in "enu"], axis=-1
     )
     for part in runs.parts:
-        attitudes = engine.true_attitudes_at_records(runs.group(part, draws))
+        attitudes = engine.true_attitudes_at_records(runs.batch(part, draws))
         for point in part.points:
             for at, draw in enumerate(draws):
                 place = places[point, draw]

@@ -1,8 +1,8 @@
 """Many runs in one compiled call.
 
 A study has draws x variants runs, numbered draw by draw (run_id = draw_id * variants + variant_id).
-They are laid into the lanes of tiles, tiles follow one another in a chunk, and chunks are computed
-by one thread per device:
+A `Batch` holds those that share a compiled program and an environment. They are laid into the lanes
+of tiles, tiles follow one another in a chunk, and chunks are computed by one thread per device:
 
     runs      d0v0 d0v1 d0v2 d1v0 d1v1 d1v2 d2v0 ...                 (here 3 variants)
                |    |    |    |    |    |    |
@@ -15,7 +15,7 @@ The state of a tile stays in the first-level cache; the tiles of a call follow o
 `lax.map`. The samples of each draw of a tile are made once and handed to its lanes, so variants
 share their noise. On a CPU all threads call one program, elsewhere each that of its device.
 
-If all runs of a variant have the same covariance (`Method.shares_covariance`), tiles of the same
+If all runs of a variant have the same covariance (`Program.shares_covariance`), tiles of the same
 variants and different draws are stacked into sets, which share it: JAX itself finds that it does
 not depend on the axis of sets.
 """
@@ -31,10 +31,21 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.environment import Static
-from sinsjax.engine.lanes import LANES, Group, Lanes, Tiles, curve_lanes, layout, tiles_of
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import map_stacked_tiles, run_tile
+
+LANES = 64
+"""Runs per tile. Results are bit-equal for any chunk and device count only at one lane count."""
+
+STACKED_TILES = 8
+"""Tiles that share one covariance; like `LANES`, it decides the last bits."""
+
+MOST_IDLE = 1 / 8
+"""Largest share of idle lanes in a draw's last tile; beyond it another draw is put there."""
+
+VECTOR = 16
+"""Single-precision numbers in the widest vector of a CPU."""
 
 CHUNK_TILES = 32
 CHUNK_STEPS = 2**28
@@ -45,17 +56,81 @@ MOST_PROGRAMS = 64
 """Programs that a process keeps, some MB each; the least recently used are dropped first."""
 
 LEAST_CHUNKS = 16
-"""Chunks that a group is cut into if it has enough tiles, so that many cores find work."""
+"""Chunks that a batch is cut into if it has enough tiles, so that many cores find work."""
+
+
+class Batch(NamedTuple):
+    """Runs that share one compiled program and one environment.
+
+    Attributes:
+        spec: program.
+        environment: shared by all runs.
+        draws: leaves (draws,), or () for what all share.
+        params: leaves (variants, ...).
+        variant_ids: (variants,) their numbers in the study.
+    """
+
+    spec: ProgramSpec
+    environment: Environment
+    draws: Draw
+    params: RunParams
+    variant_ids: np.ndarray
+
+    @property
+    def n_draws(self) -> int:
+        """Number of draws."""
+        return len(self.draws.draw_id)
+
+    @property
+    def n_variants(self) -> int:
+        """Number of variants."""
+        return len(self.params.ve)
+
+    def lay_out(self, *, tiles_per_chunk: int | None = None, lanes: int = LANES) -> "Layout":
+        """Return the `Layout` of its runs."""
+        sizes = self.n_draws, self.n_variants
+        return Layout(self.spec, *sizes, tiles_per_chunk=tiles_per_chunk, lanes=lanes)
+
+    def select_draws(self, places: np.ndarray) -> "Batch":
+        """Return the batch with some draws only, by their places."""
+        draws = jax.tree.map(lambda a: a[places] if np.ndim(a) else a, self.draws)
+        return self._replace(draws=draws)
+
+
+class Lanes(NamedTuple):
+    """Draw and variant of each lane of a chunk; leaves (tiles, sets, lanes).
+
+    Attributes:
+        draw: place of the draw in the batch; beyond its end for idle lanes.
+        variant: place of the variant, the same for all sets; beyond its end for idle lanes.
+    """
+
+    draw: np.ndarray
+    variant: np.ndarray
+
+
+class ActiveLanes(NamedTuple):
+    """The lanes of a chunk that are not idle, by draw and variant; leaves (runs,).
+
+    Attributes:
+        lane: place among all lanes of all tiles.
+        draw: place of the draw in the batch.
+        variant: place of the variant.
+    """
+
+    lane: np.ndarray
+    draw: np.ndarray
+    variant: np.ndarray
 
 
 class Chunk(NamedTuple):
-    """Results of some runs of a group, by draw and variant.
+    """Results of some runs of a batch, by draw and variant.
 
     Attributes:
         draw: (runs,) number of each run's draw in the study.
-        variant: (runs,) place of each run's variant in the group.
+        variant: (runs,) place of each run's variant in the batch.
         outcome: `Outcome` with leaves (runs, ...).
-        curves: `Observation` with leaves (runs, records); None without curves.
+        curves: `Observation` with leaves (runs, intervals); None without curves.
     """
 
     draw: np.ndarray
@@ -64,44 +139,50 @@ class Chunk(NamedTuple):
     curves: Any
 
 
-class Plan:
-    """The layout of a group's runs in the lanes of calls of one size.
+class Layout:
+    """The layout of runs in the lanes of chunks of one size.
 
-    Runs keep their order; stacked tiles take a few draws at a time. The plan depends on the group
-    alone, never on the machine. The last call is filled up with idle lanes. A call never has a
-    single block of tiles, whose loop the compiler would unroll to other bits.
+    Runs keep their order; stacked tiles take a few draws at a time. The layout depends on the
+    program and the numbers of draws and variants alone, never on the machine. The last chunk is
+    filled up with idle lanes. A chunk never has a single block of tiles, whose loop the compiler
+    would unroll to other bits.
+
+    Attributes:
+        width: lanes that a draw takes.
+        lanes: runs per tile.
     """
 
     def __init__(
         self,
-        static: Static,
+        spec: ProgramSpec,
         draws: int,
         variants: int,
         *,
         tiles_per_chunk: int | None = None,
         lanes: int = LANES,
     ) -> None:
-        """Lay out a group.
+        """Lay out the runs of a batch.
 
         Args:
-            static: its program.
+            spec: its program.
             draws: number of its draws.
             variants: number of its variants.
-            tiles_per_chunk: tiles per call, stacked ones counted singly, rounded to two blocks or
+            tiles_per_chunk: tiles per chunk, stacked ones counted singly, rounded to two blocks or
                 more; None for as many as `CHUNK_TILES` and the other limits allow.
             lanes: runs per tile.
         """
-        self._draws, self._variants, self._lanes = draws, variants, lanes
-        self._sets, self._width = layout(static, variants, lanes)
+        self._draws, self._variants, self.lanes = draws, variants, lanes
+        self._sets = STACKED_TILES if spec.shares_covariance else 1
+        self.width = _lanes_of_draw(spec, variants, lanes)
         # A block, which cannot be cut, is a tile, or stacked tiles of several draws.
-        self._stride = lanes if self._sets == 1 else max(lanes, self._width)
+        self._stride = lanes if self._sets == 1 else max(lanes, self.width)
         self._across = self._stride // lanes  # blocks beside one another for the same draws
-        blocks = -(-draws * self._width // (self._sets * self._stride)) * self._across
+        blocks = -(-draws * self.width // (self._sets * self._stride)) * self._across
         if tiles_per_chunk is None:
-            records = lanes * static.records
-            most = min(CHUNK_TILES, CHUNK_STEPS // (records * static.record_every))
-            if static.curves:
-                most = min(most, CHUNK_RECORDS // records)
+            rows = lanes * spec.intervals
+            most = min(CHUNK_TILES, CHUNK_STEPS // (rows * spec.interval_samples))
+            if spec.curves:
+                most = min(most, CHUNK_RECORDS // rows)
             wanted = min(most // self._sets, -(-blocks // LEAST_CHUNKS))
         else:
             wanted = min(tiles_per_chunk // self._sets, blocks)
@@ -117,37 +198,86 @@ class Plan:
         blocks = number * self._size + np.arange(self._size)
         stacks, beside = np.divmod(blocks, self._across)
         draws = stacks[:, None, None] * self._sets + np.arange(self._sets)[:, None]
-        places = draws * self._stride + beside[:, None, None] * self._lanes + np.arange(self._lanes)
-        return Lanes(places // self._width, places % self._width)
-
-    def __iter__(self) -> Iterator[Lanes]:
-        return map(self.__getitem__, range(len(self)))
+        places = draws * self._stride + beside[:, None, None] * self.lanes + np.arange(self.lanes)
+        return Lanes(places // self.width, places % self.width)
 
     @property
     def tiles(self) -> int:
-        """Number of tiles in all calls."""
+        """Number of tiles in all chunks."""
         return self._count * self._size * self._sets
 
-    def active_lanes(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the places of draw and variant of a call's lanes that are not idle, (runs,)."""
-        places = self[number]
-        active = (places.draw < self._draws) & (places.variant < self._variants)
-        return places.draw[active], places.variant[active]
+    @property
+    def curve_lanes(self) -> int | None:
+        """The lanes of a tile whose curves are returned, the first ones; None for all.
 
-    def count_runs(self, number: int) -> int:
-        """Return the number of runs of a call."""
-        return len(self.active_lanes(number)[0])
+        A few runs are in the first lanes, and the curves of idle lanes would fill the memory.
+        """
+        used = self._draws * self.width
+        return used if used < self.lanes else None
 
-    def call_of(self, draw: int, variant: int) -> int:
-        """Return the number of the call that has a run."""
-        row, place = divmod(draw * self._width + variant, self._stride)
-        block = row // self._sets * self._across + place // self._lanes
+    def active(self, number: int) -> ActiveLanes:
+        """Return the lanes of a chunk that are not idle."""
+        draw, variant = (places.ravel() for places in self[number])
+        lane = np.flatnonzero((draw < self._draws) & (variant < self._variants))
+        lane = lane[np.argsort(draw[lane] * self._variants + variant[lane])]
+        return ActiveLanes(lane, draw[lane], variant[lane])
+
+    def chunk_of(self, draw: int, variant: int) -> int:
+        """Return the number of the chunk that has a run."""
+        row, place = divmod(draw * self.width + variant, self._stride)
+        block = row // self._sets * self._across + place // self.lanes
         return block // self._size
 
+    def tiles_of(self, batch: Batch, number: int) -> Tiles:
+        """Return the arguments of a chunk; idle lanes repeat the last draw or variant."""
+        places = self[number]
+        first = places.draw[..., :1]
+        draw = np.minimum(
+            first + np.arange(_draws_of_tile(self.width, self.lanes)), self._draws - 1
+        )
+        draw = draw if self._sets > 1 else draw[:, 0]
+        variant = np.minimum(places.variant[:, 0], self._variants - 1)
+        return Tiles(
+            draws=jax.tree.map(
+                lambda a: a[draw] if np.ndim(a) else np.full(len(draw), a), batch.draws
+            ),
+            row=(places.draw - first)[:, 0].astype(np.int32),
+            params=jax.tree.map(lambda a: np.asarray(a)[variant], batch.params),
+        )
 
-def plan(group: Group, *, tiles_per_chunk: int | None = None, lanes: int = LANES) -> Plan:
-    """Return the `Plan` of a group."""
-    return Plan(group.static, *group.sizes, tiles_per_chunk=tiles_per_chunk, lanes=lanes)
+
+def _lanes_of_draw(spec: ProgramSpec, variants: int, lanes: int) -> int:
+    """Return the lanes that a draw takes.
+
+    Stacked tiles need the same variants in the same lanes: a draw is widened there, with idle
+    lanes, to whole tiles or to a divisor of a tile. Otherwise it is widened to whole tiles if few
+    lanes stay idle, since a tile of two draws makes the samples of `VECTOR`.
+    """
+    whole = lanes * -(-variants // lanes)
+    if not spec.shares_covariance:
+        few = variants > lanes and whole - variants <= MOST_IDLE * variants
+        return whole if few else variants
+    if variants > lanes:
+        return whole
+    return next(n for n in range(variants, lanes + 1) if lanes % n == 0)
+
+
+def _draws_of_tile(width: int, lanes: int) -> int:
+    """Return the number of draws that a tile has room for if each takes ``width`` lanes in a row.
+
+    That is at least the most that it can hold, in whole vectors, since a part of a vector takes as
+    long as a whole one; it is as many as there are lanes only if a draw takes one lane.
+    """
+    if width % lanes == 0:
+        return 1
+    if lanes % width == 0:
+        return lanes // width
+    most = (lanes + width - 2) // width + 1
+    whole = -(-most // VECTOR) * VECTOR
+    return whole if whole < lanes else most
+
+
+# Programs
 
 
 def target_devices() -> list[jax.Device | None]:
@@ -159,11 +289,8 @@ def target_devices() -> list[jax.Device | None]:
     return [None] if jax.default_backend() == "cpu" else list(jax.local_devices())
 
 
-class Program:
-    """The program of a group for tiles of given shapes, traced when made, compiled on demand.
-
-    Its results have the same bits in every thread.
-    """
+class LazyProgram:
+    """A program that is traced when made, and compiled once for all threads when first wanted."""
 
     def __init__(self, lowered: jax.stages.Lowered) -> None:
         self._lowered: jax.stages.Lowered | None = lowered
@@ -171,7 +298,7 @@ class Program:
         self._lock = threading.Lock()
 
     def compiled(self) -> jax.stages.Compiled:
-        """Return the compiled program, compiled once for all threads."""
+        """Return the compiled program; its results have the same bits in every thread."""
         with self._lock:
             if self._compiled is None:
                 assert self._lowered is not None
@@ -179,36 +306,78 @@ class Program:
             return self._compiled
 
 
-def trace_program(group: Group, tiles: Tiles, device: jax.Device | None = None) -> Program:
-    """Return the program of a group for arguments of these shapes, whatever their values.
+def trace_program(batch: Batch, layout: Layout, device: jax.Device | None = None) -> LazyProgram:
+    """Return the program of a batch's chunks on a device, None for the default one.
 
-    Args:
-        group: with an environment of these shapes.
-        tiles: of these shapes.
-        device: on which it runs; None for the default one.
+    It is the same for all arguments of these shapes, whatever their values.
     """
-    leaves, structure = jax.tree.flatten((group.environment, tiles))
+    leaves, structure = jax.tree.flatten((batch.environment, layout.tiles_of(batch, 0)))
     home = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    return _trace(group.static, curve_lanes(group), structure, shapes)
-
-
-def compile_program(
-    group: Group, tiles: Tiles, device: jax.Device | None = None
-) -> jax.stages.Compiled:
-    """Return `trace_program`, compiled."""
-    return trace_program(group, tiles, device).compiled()
+    curve_lanes = layout.curve_lanes if batch.spec.curves else None
+    return _trace(batch.spec, curve_lanes, structure, shapes)
 
 
 @lru_cache(maxsize=MOST_PROGRAMS)
-def _trace(static: Static, kept_lanes: int | None, structure: Any, shapes: tuple) -> Program:
-    def run_tiles(environment: Any, tiles: Tiles) -> Any:
-        one = partial(run_tile, static, environment, curve_lanes=kept_lanes)
-        return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
+def _trace(
+    spec: ProgramSpec, curve_lanes: int | None, structure: Any, shapes: tuple
+) -> LazyProgram:
+    def run_tiles(environment: Environment, tiles: Tiles) -> Any:
+        one = partial(run_tile, spec, environment, curve_lanes=curve_lanes)
+        return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
 
-    return Program(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
+    return LazyProgram(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
+
+
+class Chunks:
+    """The chunks of a batch, each computed on demand, in any order and from any thread.
+
+    Attributes:
+        layout: of the runs in chunks.
+    """
+
+    def __init__(self, batch: Batch, *, tiles_per_chunk: int | None = None) -> None:
+        """Trace the program of a batch.
+
+        Args:
+            batch: the runs.
+            tiles_per_chunk: as for `Layout`.
+        """
+        self._batch = batch
+        self.layout = batch.lay_out(tiles_per_chunk=tiles_per_chunk)
+        devices = target_devices()
+        self._programs = [trace_program(batch, self.layout, device) for device in devices]
+        # Once, and not with every call.
+        self._environments = [jax.device_put(batch.environment, device) for device in devices]
+
+    def __len__(self) -> int:
+        return len(self.layout)
+
+    def compile(self) -> None:
+        """Compile all programs now rather than with the first chunk."""
+        for program in self._programs:
+            program.compiled()
+
+    def compute(self, number: int) -> Chunk:
+        """Compute a chunk, on the device of the calling thread."""
+        home = _thread.number % len(self._programs)
+        call, environment = self._programs[home].compiled(), self._environments[home]
+        tiles = self.layout.tiles_of(self._batch, number)
+        outcome, curves = jax.device_get(call(environment, tiles))
+        runs, axes = self.layout.active(number), tiles.draws.draw_id.ndim - 1  # tiles, and sets
+        tile, lane = np.divmod(runs.lane, self.layout.lanes)
+
+        def of_tiles(a: np.ndarray) -> np.ndarray:
+            return a.reshape(-1, *a.shape[axes:])
+
+        return Chunk(
+            self._batch.draws.draw_id[runs.draw],
+            runs.variant,
+            jax.tree.map(lambda a: of_tiles(a)[tile, lane], outcome),
+            jax.tree.map(lambda a: of_tiles(a)[tile, ..., lane], curves),
+        )
 
 
 class _Thread(threading.local):
@@ -235,69 +404,3 @@ def map_in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
-
-
-class Calls:
-    """The calls of a group: its chunks, in any order and from any thread."""
-
-    def __init__(self, group: Group, *, tiles_per_chunk: int | None = None) -> None:
-        """Trace the program of a group.
-
-        Args:
-            group: the runs.
-            tiles_per_chunk: as for `Plan`.
-        """
-        self._group = group
-        self.plan = plan(group, tiles_per_chunk=tiles_per_chunk)
-        tiles = tiles_of(group, self.plan[0])
-        self._programs = [trace_program(group, tiles, device) for device in target_devices()]
-        # Once, and not with every call.
-        self._environments = [
-            jax.device_put(group.environment, device) for device in target_devices()
-        ]
-
-    def compile(self) -> None:
-        """Compile all programs now rather than with the first chunk."""
-        for compilable in self._programs:
-            compilable.compiled()
-
-    def chunk(self, number: int) -> Chunk:
-        """Run one call of the plan, on the device of the calling thread."""
-        group, places = self._group, self.plan[number]
-        draws, variants = group.sizes
-        home = _thread.number % len(self._programs)
-        call, environment = self._programs[home].compiled(), self._environments[home]
-        outcome, curves = jax.device_get(call(environment, tiles_of(group, places)))
-        draw, variant = places.draw.ravel(), places.variant.ravel()
-        active = np.flatnonzero((draw < draws) & (variant < variants))
-        runs = active[np.argsort(draw[active] * variants + variant[active])]
-        tile, lane = np.divmod(runs, places.draw.shape[-1])
-        axes = 1 + (places.draw.shape[1] > 1)  # of tiles, and of sets
-        outcome, curves = (
-            jax.tree.map(lambda a: a.reshape(-1, *a.shape[axes:]), tree)
-            for tree in (outcome, curves)
-        )
-        return Chunk(
-            group.draws.draw_id[draw[runs]],
-            variant[runs],
-            jax.tree.map(lambda a: a[tile, lane], outcome),
-            jax.tree.map(lambda a: a[tile, ..., lane], curves),
-        )
-
-
-def run_chunks(
-    group: Group, *, devices: int = 1, tiles_per_chunk: int | None = None
-) -> Iterator[Chunk]:
-    """Run a group, chunk by chunk.
-
-    Args:
-        group: the runs.
-        devices: number of chunks computed at a time.
-        tiles_per_chunk: as for `Plan`.
-
-    Yields:
-        Results in the order of the plan.
-    """
-    calls = Calls(group, tiles_per_chunk=tiles_per_chunk)
-    calls.compile()
-    yield from map_in_threads(calls.chunk, range(len(calls.plan)), devices)

@@ -5,19 +5,19 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from sinsjax.engine.batch import Chunk, Plan
-from sinsjax.engine.environment import Static
+from sinsjax.engine.batch import Chunk, Layout
+from sinsjax.engine.inputs import ProgramSpec
 
 LEAST_SAVED = 1 / 4
-"""Share of its tiles that a group must save; else all its variants are computed."""
+"""Share of its tiles that a program must save; else all its variants are computed."""
 
 
 class DuplicateVariants(NamedTuple):
-    """Variants of a part, grouped by identical runs.
+    """Variants of a program, grouped by identical runs.
 
     Attributes:
-        computed: (computed,) one variant of each group, as places in the part.
-        variants: (variants,) places in the part, group by group in the order of ``computed``.
+        computed: (computed,) one variant of each group, as places in the program.
+        variants: (variants,) places in the program, group by group in the order of ``computed``.
         counts: (computed,) number of variants of each group.
     """
 
@@ -25,10 +25,9 @@ class DuplicateVariants(NamedTuple):
     variants: np.ndarray
     counts: np.ndarray
 
-    def count_runs(self, plan: Plan, call: int) -> int:
-        """Return the number of runs whose results a call of the computed variants gives."""
-        _, variant = plan.active_lanes(call)
-        return int(self.counts[variant].sum())
+    def count_runs(self, computed: np.ndarray) -> int:
+        """Return the number of runs whose results are those of runs of some computed variants."""
+        return int(self.counts[computed].sum())
 
     def expand(self, chunk: Chunk) -> Chunk:
         """Return the results of all variants from those computed, by draw and variant."""
@@ -43,18 +42,18 @@ class DuplicateVariants(NamedTuple):
         return Chunk(chunk.draw[run], variant, outcome, curves)
 
 
-def find_duplicates(static: Static, draws: int, kinds: np.ndarray) -> DuplicateVariants | None:
-    """Return the duplicate variants of a part; None if all of them are to be computed.
+def find_duplicates(spec: ProgramSpec, draws: int, kinds: np.ndarray) -> DuplicateVariants | None:
+    """Return the duplicate variants of a program; None if all of them are to be computed.
 
     Args:
-        static: its program.
+        spec: their program.
         draws: number of its draws.
         kinds: (variants,) a number that variants with identical runs share.
     """
     _, computed, kind, counts = np.unique(
         kinds, return_index=True, return_inverse=True, return_counts=True
     )
-    all_tiles, tiles = (Plan(static, draws, count).tiles for count in (len(kinds), len(computed)))
+    all_tiles, tiles = (Layout(spec, draws, count).tiles for count in (len(kinds), len(computed)))
     if tiles > (1 - LEAST_SAVED) * all_tiles:
         return None
     return DuplicateVariants(computed, np.argsort(kind, kind="stable"), counts)

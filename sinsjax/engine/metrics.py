@@ -1,6 +1,6 @@
 """Metrics of a run, accumulated as it proceeds, so that no curve has to be stored.
 
-All are of one run, observed at record times. phi is the misalignment of the *corrected* attitude,
+All are of one run, observed at output times. phi is the misalignment of the *corrected* attitude,
 which a user would be given. Without a reference attitude phi is NaN.
 """
 
@@ -18,7 +18,7 @@ from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 
 class Observation(NamedTuple):
-    """One run at one record time: misalignment (rad, n), its 1 sigma, and Euler angles (rad).
+    """One run at one output time: misalignment (rad, n), its 1 sigma, and Euler angles (rad).
 
     What belongs to the heading is NaN if the method finds none, and phi is then the tilt alone.
     """
@@ -39,14 +39,14 @@ class Criteria(NamedTuple):
 
     Attributes:
         bands: (B,) half-widths about the floor and about the truth, rad.
-        window_start: statistics use record times in (start, end], s.
+        window_start: statistics use output times in (start, end], s.
         window_end: s.
-        consistency_after: record times after this one count for the P above error shares, s.
-        steady_after: record times after this one are the steady process, s.
+        consistency_after: output times after this one count for the P above error shares, s.
+        steady_after: output times after this one are the steady process, s.
         sharpness: sharpness k of the edge of a band if settling times are smoothed for
             differentiation: an error of x times the band counts as outside with the share
             x^k / (1 + x^k); None for a hard edge.
-        report_samples: (T,) numbers of the samples, from 1, at whose record times heading error,
+        report_samples: (T,) numbers of the samples, from 1, at whose output times heading error,
             its sigma and NEES are reported; None for none.
     """
 
@@ -63,7 +63,7 @@ class Window(NamedTuple):
     """Sums over the window, of differences from the first value in it (no cancellation).
 
     Attributes:
-        count: record times in the window so far.
+        count: output times in the window so far.
         first: (6,) first values of phi (e, n, u), pitch, roll and yaw.
         sums: (6,) of the differences from them.
         squares: (6,) of the squared differences.
@@ -82,9 +82,9 @@ class Metrics(NamedTuple):
         outside_until: (2, B) for each band about the floor, and for each about the truth, end of
             the last record interval outside it, s.
         window: see `Window`.
-        above: (3,) record times at which P_UU exceeded phi_u^2, at which it exceeded
+        above: (3,) output times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
-        judged: (3,) record times included in each of these counts.
+        judged: (3,) output times included in each of these counts.
         last: the latest observation.
         at_times: (T, 3) phi_u (rad), its 1 sigma (rad) and NEES at the reported times, NaN until
             then; None without such times.
@@ -102,7 +102,7 @@ class Outcome(NamedTuple):
     """Results of a run, SI units; angles in rad.
 
     Attributes:
-        last: observation at the last record time.
+        last: observation at the last output time.
         outside_until: as in `Metrics`.
         mean: window means of phi (e, n, u), pitch, roll, yaw.
         std: window standard deviations of the same.
@@ -274,7 +274,7 @@ def finish(
 ) -> Outcome:
     """Return the outcome of a run.
 
-    The standard deviation is over the record times in the window (divisor n - 1). An empty window,
+    The standard deviation is over the output times in the window (divisor n - 1). An empty window,
     or a method without covariance, gives NaN.
     """
     window, phi = metrics.window, metrics.last.phi

@@ -7,40 +7,22 @@ outcomes = jax.vmap(run, in_axes=(None, 0))(run.params, run.draws)
 
 import warnings
 from functools import cached_property, partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine import batch
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.environment import Draw, RunParams
-from sinsjax.engine.lanes import Group, Tiles
+from sinsjax.engine.batch import Batch, Chunks
+from sinsjax.engine.inputs import Draw, RunParams, Tiles
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import run_tile
+from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import find_without_gradient
 from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets, smooth_resets
-from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.study import Study
-from sinsjax.study.variants import Variants
-from sinsjax.types import Array, Quat
-
-
-class Realisation(NamedTuple):
-    """The part of a run that its draw decides.
-
-    Attributes:
-        draw: noise, and whatever else a study draws or a start time decides.
-        q: attitude before the initial misalignment is added: true, or coarsely aligned.
-    """
-
-    draw: Draw
-    q: Quat
+from sinsjax.types import Array
 
 
 class OneRun:
@@ -61,68 +43,58 @@ class OneRun:
             variance of the measured velocity, m^2/s^2.
     """
 
-    def __init__(self, group: Group, params: RunParams) -> None:
-        """Store a variant of a group.
+    def __init__(self, batch: Batch) -> None:
+        """Take the only variant of a batch."""
+        self._batch = batch
+        self.params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], batch.params)
 
-        Args:
-            group: with one variant.
-            params: of that variant, leaves (...).
-        """
-        self._group, self.params = group, params
-
-    def __call__(self, params: RunParams, draw: Realisation) -> Outcome:
+    def __call__(self, params: RunParams, draw: Draw) -> Outcome:
         """Return the outcome of one run, SI units, angles in rad, leaves (...).
 
         Args:
             params: as `params`, or changed.
             draw: from `draw` or `draws`.
         """
-        given: tuple[RunParams, Realisation] = jax.tree.map(_as_double, (params, draw))
-        params, draw = given
+        given: tuple[RunParams, Draw] = jax.tree.map(_as_double, (params, draw))
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
-            params = params._replace(q=draw.q, method=_warn_of_zero_gradients(params.method))
-            return self._trace(params, draw.draw)
-        return self._run_compiled(params, draw)
-
-    def draw(self, number: int) -> Realisation:
-        """Return one of the draws by its number; in a recorded study, that of a start time."""
-        count = len(self._group.draws.draw_id)
-        if not 0 <= number < count:
-            raise InputError(f"draw {number}: the study has {count} draws, from 0")
-        one: Realisation = jax.tree.map(lambda a: a[number], self.draws)
-        return one
-
-    @cached_property
-    def draws(self) -> Realisation:
-        """All draws of the study, leaves (draws, ...), to map over."""
-        count = len(self._group.draws.draw_id)
-        all_: Draw = jax.tree.map(
-            lambda a: a if np.ndim(a) else np.full(count, a), self._group.draws
+            return self._trace(*given)
+        # The smallest compiled call: its bits depend on no other run.
+        drawn, params = jax.tree.map(lambda a: np.asarray(a)[None], given[::-1])
+        chunk = Chunks(self._batch._replace(draws=drawn, params=params), tiles_per_chunk=1).compute(
+            0
         )
-        return Realisation(all_, Quat(*np.asarray(self._group.q).T))
-
-    def _trace(self, params: RunParams, draw: Draw) -> Outcome:
-        """Return the outcome of a tile of one lane, traced with a loop that has all derivatives."""
-        draws, lanes = jax.tree.map(lambda a: jnp.asarray(a)[None], (draw, params))
-        tile = Tiles(draws, np.zeros(1, np.int32), lanes)
-        static = self._group.static._replace(curves=False)
-        outcome, _ = run_tile(static, self._group.environment, tile, by_event=False)
-        only: Outcome = jax.tree.map(lambda a: a[0], outcome)
-        return only
-
-    def _run_compiled(self, params: RunParams, draw: Realisation) -> Outcome:
-        """Return the outcome of the smallest compiled call, whose bits depend on no other run."""
-        first = partial(jax.tree.map, lambda a: np.asarray(a)[None])
-        group = self._group._replace(
-            draws=first(draw.draw), q=np.stack(draw.q)[None], variants=first(params)
-        )
-        chunk = batch.Calls(group, tiles_per_chunk=1).chunk(0)
         outcome: Outcome = jax.tree.map(lambda a: a[0], chunk.outcome)
         return outcome
 
+    def draw(self, number: int) -> Draw:
+        """Return one of the draws by its number; in a recorded study, that of a start time."""
+        if not 0 <= number < self._batch.n_draws:
+            text = f"the study has {self._batch.n_draws} draws, from 0"
+            raise InputError(f"draw {number}: {text}")
+        one: Draw = jax.tree.map(lambda a: a[number], self.draws)
+        return one
+
+    @cached_property
+    def draws(self) -> Draw:
+        """All draws of the study, leaves (draws, ...), to map over."""
+        count = self._batch.n_draws
+        all_: Draw = jax.tree.map(
+            lambda a: a if np.ndim(a) else np.full(count, a), self._batch.draws
+        )
+        return all_
+
+    def _trace(self, params: RunParams, draw: Draw) -> Outcome:
+        """Return the outcome of a tile of one lane, traced with a loop that has all derivatives."""
+        params = params._replace(method=_warn_of_zero_gradients(params.method))
+        draws, lanes = jax.tree.map(lambda a: jnp.asarray(a)[None], (draw, params))
+        spec, tile = self._batch.spec, Tiles(draws, np.zeros(1, np.int32), lanes)
+        outcome, _ = run_tile(spec, self._batch.environment, tile, by_event=False)
+        only: Outcome = jax.tree.map(lambda a: a[0], outcome)
+        return only
+
 
 def one_run(
-    study: Study | str | Path,
+    study: StudySource,
     record: StoredRecord | None = None,
     *,
     variant_id: int = 0,
@@ -151,38 +123,23 @@ def one_run(
         >>> bool(abs(outcome.last.phi.z) < 0.01)  # rad
         True
     """
-    runtime.ensure_configured()
-    study = load_study(study)
-    if record is not None and study.is_recorded:
-        study = with_rate(study, record.record.rate_hz)
-    if not 0 <= variant_id < study.n_variants:
-        raise InputError(f"{study.name}: has no variant {variant_id}, of {study.n_variants}")
     scenario = Scenario(study, record, curves=False)
-    number, place = next(
-        (number, int(np.flatnonzero(ids == variant_id)[0]))
-        for number, ids in enumerate(scenario.variant_ids)
-        if variant_id in ids
-    )
-    group = scenario.part(number, variants=np.asarray([place])).group
-    params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], group.variants)
+    number, place = scenario.find(variant_id)
+    batch = scenario.batch(number, variants=[place])
     if window_s is not None:
-        params = params._replace(method=_smooth_resets(study, group, params.method, window_s))
+        source = f"{scenario.study.name}: window_s"
+        soft = smooth_resets(batch.params.method, np.float64(window_s * scenario.study.rate_hz))
+        if soft is batch.params.method:
+            raise InputError(f"{source}: {batch.spec.method!r} has no resets to spread")
+        if key := find_without_gradient(scenario.keys(number), smoothed=True):
+            raise InputError(f"{source}: {key} cannot be spread over windows")
+        if not window_s * scenario.study.rate_hz >= 1:
+            raise InputError(f"{source}: must be a sample or more, not {window_s:g}")
+        batch = batch._replace(params=batch.params._replace(method=jax.tree.map(np.asarray, soft)))
     if sharpness is not None:
-        soft = group.environment.criteria._replace(sharpness=np.float64(sharpness))
-        group = group._replace(environment=group.environment._replace(criteria=soft))
-    return OneRun(group, params)
-
-
-def _smooth_resets(study: Study, group: Group, method: Any, window_s: float) -> Any:
-    """Return the params of a method with each reset spread over a smooth window."""
-    soft = smooth_resets(method, np.float64(window_s * study.rate_hz))
-    if soft is method:
-        raise InputError(f"{study.name}: window_s: {group.static.method!r} has no resets to spread")
-    if key := find_without_gradient(Variants.all_of(study), smoothed=True):
-        raise InputError(f"{study.name}: window_s: {key} cannot be spread over windows")
-    if not window_s * study.rate_hz >= 1:
-        raise InputError(f"{study.name}: window_s: must be a sample or more, not {window_s:g}")
-    return jax.tree.map(np.asarray, soft)
+        criteria = batch.environment.criteria._replace(sharpness=np.float64(sharpness))
+        batch = batch._replace(environment=batch.environment._replace(criteria=criteria))
+    return OneRun(batch)
 
 
 def _as_double(leaf: Any) -> Any:

@@ -1,8 +1,8 @@
 """The loop of a run: environment -> samples -> step -> close loop -> observe -> outcome.
 
-A run starts at a misaligned attitude. In each record interval its increments are measured and
+A run starts at a misaligned attitude. In each interval its increments are measured and
 compensated, the method steps sample by sample, and its loop is closed whenever feedback or a reset
-is due; at the record time the corrected attitude is compared with the truth. After the last record
+is due; at the output time the corrected attitude is compared with the truth. After the last
 interval the run has its outcome.
 
 A run alone is a tile of one lane. The functions at the end are those of one run; `TileRuns` maps
@@ -17,32 +17,22 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.engine import metrics
-from sinsjax.engine.environment import (
+from sinsjax.engine.inputs import (
     Draw,
     Environment,
     InitialErrors,
+    ProgramSpec,
     RunParams,
-    Static,
-    build_program,
-    coarse_static,
+    Tiles,
     computed_attitudes,
     derive_inputs,
-    initial_true_attitude,
-    select_biases,
-    select_site,
+    inputs_of,
+    map_draws,
     stored_attitude,
 )
-from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.metrics import Criteria, Metrics, Observation, Outcome
-from sinsjax.engine.samples import (
-    DrawSensors,
-    SensorState,
-    block_size,
-    build_sensors,
-    leaf_axes,
-    sample_blocks,
-)
-from sinsjax.engine.stepping import Blocks, Steps, advance_interval
+from sinsjax.engine.samples import SensorState, TileSensors
+from sinsjax.engine.stepping import Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
 from sinsjax.methods import passes
@@ -56,19 +46,40 @@ from sinsjax.methods.method import (
     unknown_covariance,
 )
 from sinsjax.methods.passes import BodyRotation, PassReading
+from sinsjax.strapdown import base_motion
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
 class Run(NamedTuple):
-    """A run between two record intervals: the state of its method, and its metrics so far."""
+    """A run between two intervals: the state of its method, and its metrics so far."""
 
     state: Any
     metrics: Metrics
 
 
+class Intervals(NamedTuple):
+    """Intervals of runs, leaves (intervals, ...).
+
+    Attributes:
+        number: of the interval, from 0.
+        q_true: attitudes of bases that draws move, at its end, leaves (intervals, draws); None to
+            look them up as the interval ends, since all together would fill the memory.
+    """
+
+    number: Array
+    q_true: Quat | None
+
+
+class TileState(NamedTuple):
+    """The runs of a tile between two intervals, and the sensors of their draws."""
+
+    run: Run
+    sensors: SensorState
+
+
 def run_tile(
-    static: Static,
+    spec: ProgramSpec,
     environment: Environment,
     tile: Tiles,
     curve_lanes: int | None = None,
@@ -78,116 +89,111 @@ def run_tile(
     """Run all runs of a tile, from the first sample to the outcome.
 
     Args:
-        static: program.
+        spec: program.
         environment: shared by all runs.
         tile: its draws and params.
         curve_lanes: lanes whose observations are returned, the first ones; None for all.
-        by_event: see `advance_interval`; False to differentiate in reverse mode.
+        by_event: see `take_samples`; False to differentiate in reverse mode.
 
     Returns:
-        Outcomes with leaves (lanes, ...), and if ``static.curves`` observations (records, lanes).
+        Outcomes with leaves (lanes, ...), and if ``spec.curves`` observations (intervals, lanes).
     """
-    runs = set_up(static, environment, tile)._replace(curve_lanes=curve_lanes, by_event=by_event)
-    start = runs.start(), runs.sensors.initial_state()
-    if static.coarse is None:
-        (run, _), rows = jax.lax.scan(partial(advance_record, runs), start, runs.records())
+    runs = set_up(spec, environment, tile)._replace(curve_lanes=curve_lanes, by_event=by_event)
+    start = TileState(runs.start(), runs.sensors.start())
+    if spec.coarse is None:
+        (run, _), rows = jax.lax.scan(partial(advance_interval, runs), start, runs.intervals())
     else:
         run, rows = _coarse_then_fine(runs, start)
     return runs.finish(run), None if rows is None else metrics.unpack_observations(rows)
 
 
-def advance_record(
-    runs: "TileRuns", carry: tuple[Run, SensorState], record: tuple[Count, Quat | None]
-) -> tuple[tuple[Run, SensorState], Array | None]:
-    """Advance all runs of a tile by one record interval.
-
-    Args:
-        runs: of the tile.
-        carry: the runs, and the sensors of their draws.
-        record: number of the interval, and the attitudes of the draws' bases at its end; None to
-            look them up.
+def advance_interval(
+    runs: "TileRuns", tile: TileState, interval: Intervals
+) -> tuple[TileState, Array | None]:
+    """Advance all runs of a tile by one interval.
 
     Returns:
-        Both after the interval, and if ``static.curves`` the observations as rows, (fields, lanes).
+        The tile after the interval, and if ``spec.curves`` the observations as rows, (fields,
+        lanes).
     """
-    (run, sensor_state), (number, q_true) = carry, record
-    reading = runs.read(number)
-    state, sensor_state = runs.begin_pass(run.state, sensor_state, reading)
-    state, sensor_state = advance_interval(
-        runs.steps(reading, number),
-        state,
-        sensor_state,
-        runs.blocks(reading),
+    reading = runs.read(interval.number)
+    state, sensor_state = take_samples(
+        runs.steps(reading, interval.number),
+        *runs.begin_pass(tile, reading),
+        runs.sensors.blocks(reading, runs.record),
         by_event=runs.by_event,
     )
-    turn = runs.housing_turn(number, sensor_state)
-    run = runs.observe(Run(state, run.metrics), number, q_true, turn)
-    return (run, sensor_state), runs.curve_row(run)
+    turn = runs.housing_turn(interval.number, sensor_state)
+    run = runs.observe(Run(state, tile.run.metrics), interval, turn)
+    return TileState(run, sensor_state), runs.curve_row(run)
 
 
-def _coarse_then_fine(runs: "TileRuns", start: tuple[Run, SensorState]) -> tuple[Run, Array | None]:
-    """Run the record intervals of coarse alignment, then those of the method.
+def _coarse_then_fine(runs: "TileRuns", start: TileState) -> tuple[Run, Array | None]:
+    """Run the intervals of coarse alignment, then those of the method.
 
     Fine alignment goes on where coarse alignment ends, or replays all samples from the first.
     """
-    coarse = runs.static.coarse
+    coarse, all_ = runs.spec.coarse, runs.intervals()
     assert coarse is not None
-    count, records = coarse.records, runs.records()
     first, later = (
-        jax.tree.map(lambda a, part=part: a[part], records)
-        for part in (slice(None, count), slice(count, None))
+        jax.tree.map(lambda a, part=part: a[part], all_)
+        for part in (slice(None, coarse.intervals), slice(coarse.intervals, None))
     )
-    coarse_runs = runs.with_program(coarse_static(runs.static))
-    coarse_start = coarse_runs.start(), start[1]
+    coarse_runs = runs.with_program(runs.spec.of_coarse_stage())
+    coarse_start = start._replace(run=coarse_runs.start())
     (run, sensor_state), rows = jax.lax.scan(
-        partial(advance_record, coarse_runs), coarse_start, first
+        partial(advance_interval, coarse_runs), coarse_start, first
     )
     run = run._replace(state=runs.state_after_coarse(run.state, sensor_state.rotation))
     if not coarse.replays:
         (run, _), fine_rows = jax.lax.scan(
-            partial(advance_record, runs), (run, sensor_state), later
+            partial(advance_interval, runs), TileState(run, sensor_state), later
         )
         return run, None if rows is None else jnp.concatenate([rows, fine_rows])
 
-    def replay(carry: Any, record: Any) -> Any:
-        """A record interval whose observation counts only after the coarse stage."""
-        (run, sensor_state), row = advance_record(runs, carry, record)
-        counted = select_tree(record[0] >= count, run.metrics, carry[0].metrics)
-        return (run._replace(metrics=counted), sensor_state), row
+    def replay(tile: TileState, interval: Intervals) -> tuple[TileState, Array | None]:
+        """An interval whose observation counts only after the coarse stage."""
+        (run, sensor_state), row = advance_interval(runs, tile, interval)
+        is_later = interval.number >= coarse.intervals
+        counted = select_tree(is_later, run.metrics, tile.run.metrics)
+        return TileState(run._replace(metrics=counted), sensor_state), row
 
-    (run, _), fine_rows = jax.lax.scan(replay, (run, start[1]), records)
-    return run, None if rows is None else jnp.concatenate([rows, fine_rows[count:]])
+    (run, _), fine_rows = jax.lax.scan(replay, TileState(run, start.sensors), all_)
+    return run, None if rows is None else jnp.concatenate([rows, fine_rows[coarse.intervals :]])
 
 
 class TileRuns(NamedTuple):
     """The runs of a tile: all that stays the same over them, and the functions of one run, mapped.
 
     Attributes:
-        static: program.
+        spec: program.
         environment: shared by all runs.
         method: of the program.
         draws: with derived inputs, leaves (draws, ...).
         row: (lanes,) the draw of each run.
         params: with the initial errors of the draws, leaves (lanes, ...).
+        q: attitude of each run before its initial misalignment, leaves (lanes,), or () if all
+            runs share it.
         site: leaves (lanes,), or () if all runs share it.
         floor: bias floor of each run, leaves (lanes,).
         sensors: of the draws.
         record: kept increments of the draws, leaves (samples, draws); None to measure.
-        turns: rotations from the housing to the base at the boundaries of the record intervals of
-            kept increments, leaves (intervals + 1, draws); None if it does not rotate.
+        turns: rotations from the housing to the base at the boundaries of the intervals of kept
+            increments, leaves (intervals + 1, draws); None if it does not rotate.
         curve_lanes: lanes whose observations are kept, the first ones; None for all.
-        by_event: see `advance_interval`.
+        by_event: see `take_samples`.
     """
 
-    static: Static
+    spec: ProgramSpec
     environment: Environment
     method: Program
     draws: Draw
     row: Array
     params: RunParams
+    q: Quat
     site: Site
     floor: BiasFloor
-    sensors: DrawSensors
+    sensors: TileSensors
     record: Increments | None = None
     turns: Quat | None = None
     curve_lanes: int | None = None
@@ -203,86 +209,74 @@ class TileRuns(NamedTuple):
         """Axis of the site; None if all runs share it."""
         return None if self.draws.derived.site is None else self.draw_axis
 
-    def with_program(self, static: Static) -> "TileRuns":
+    def with_program(self, spec: ProgramSpec) -> "TileRuns":
         """Return the same runs with another method and way of reading the record."""
-        return self._replace(static=static, method=build_program(static))
+        return self._replace(spec=spec, method=spec.program)
 
-    def records(self) -> tuple[Array, Quat | None]:
-        """Return the numbers of the record intervals, and the attitudes of bases that draws move.
-
-        Stored attitudes of all records and draws would fill the memory: they are looked up later.
-        """
-        q_true = None
+    def intervals(self) -> Intervals:
+        """Return all intervals of the runs."""
+        q_true, count = None, self.spec.intervals
         if self.draws.motion is not None:
-            truth, count = self.environment.truth, self.static.records
-            q_true = jax.vmap(
-                lambda draw: computed_attitudes(truth, draw, count),
-                in_axes=(leaf_axes(self.draws),),
-                out_axes=1,
-            )(self.draws)
-        return jnp.arange(self.static.records), q_true
+            compute = partial(computed_attitudes, self.environment.truth, intervals=count)
+            q_true = map_draws(compute, self.draws, out_axes=1)
+        return Intervals(jnp.arange(count), q_true)
 
     def start(self) -> Run:
         """Return the runs before their first sample."""
         over_runs = jax.vmap(
-            partial(start_run, self.method, self.environment.criteria), in_axes=(self.site_axis, 0)
+            partial(start_run, self.method, self.environment.criteria),
+            in_axes=(self.site_axis, 0, self.draw_axis),
         )
-        return over_runs(self.site, self.params)
+        return over_runs(self.site, self.params, self.q)
 
     def read(self, number: Count) -> PassReading:
-        """Return the samples that a record interval reads."""
-        every, pass_records = self.static.record_every, self.environment.pass_records
-        if self.static.passes == "alternate":
-            return passes.read_alternately(number, pass_records, every)
-        if self.static.passes == "rewind":
-            return passes.read_forward(number, pass_records, every)
+        """Return the samples that an interval reads."""
+        every, pass_intervals = self.spec.interval_samples, self.environment.pass_intervals
+        if self.spec.passes == "alternate":
+            return passes.read_alternately(number, pass_intervals, every)
+        if self.spec.passes == "rewind":
+            return passes.read_forward(number, pass_intervals, every)
         return passes.read_once(number, every)
 
-    def begin_pass(
-        self, state: Any, sensor_state: SensorState, reading: PassReading
-    ) -> tuple[Any, SensorState]:
-        """Return the states of runs and sensors as a record interval begins, maybe a new pass."""
+    def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
+        """Return the states of methods and sensors as an interval begins, which may open a pass."""
+        state, sensor_state = tile.run.state, tile.sensors
         if reading.opens_pass is None or self.method.passes is None:  # such a method has one pass
             return state, sensor_state
         if reading.backward is not None:
-            turn = jax.vmap(
+            reverse = jax.vmap(
                 partial(reverse_state, self.method), in_axes=(0, self.site_axis, 0, None)
             )
-            turned = turn(self.params, self.site, state, reading.backward)
-            return select_tree(reading.opens_pass, turned, state), sensor_state
-        record_s = self.static.record_every * self.static.options.dt
+            changed = reverse(self.params, self.site, state, reading.backward)
+            return select_tree(reading.opens_pass, changed, state), sensor_state
+        interval_s = self.spec.interval_samples * self.spec.options.dt
+        pass_s = jnp.asarray(self.environment.pass_intervals, self.environment.dtype) * interval_s
         rewind = jax.vmap(
-            partial(rewind_state, self.method, record_s),
+            partial(rewind_state, self.method),
             in_axes=(None, 0, self.site_axis, 0, self.draw_axis),
         )
-        rotation, pass_records = self.to_runs(sensor_state.rotation), self.environment.pass_records
-        rewound = rewind(pass_records, self.params, self.site, state, rotation)
-        state = select_tree(reading.opens_pass, rewound, state)
-        first = self.sensors.initial_state()
-        return state, select_tree(reading.opens_pass, first, sensor_state)
+        changed = rewind(pass_s, self.params, self.site, state, self.to_runs(sensor_state.rotation))
+        return select_tree(
+            reading.opens_pass, (changed, self.sensors.start()), (state, sensor_state)
+        )
 
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
-        """Return the state of the method after the coarse stage."""
-        assert self.static.coarse is not None
-        attitude = build_program(coarse_static(self.static)).attitude
+        """Return the states of the method as fine alignment begins."""
+        coarse = self.spec.coarse
+        assert coarse is not None
+        samples = float(coarse.intervals * self.spec.interval_samples)
         after_coarse = jax.vmap(
-            partial(
-                start_after_coarse,
-                self.method,
-                attitude,
-                self.static.coarse.records * self.static.record_every,
-                self.static.options.dt,
-                self.static.coarse.replays,
-            ),
+            partial(start_after_coarse, self.method, samples, self.spec.options.dt, coarse.replays),
             in_axes=(0, self.site_axis, 0, self.draw_axis),
         )
-        return after_coarse(self.params, self.site, coarse_state, self.to_runs(rotation))
+        q = jax.vmap(self.spec.of_coarse_stage().program.attitude)(coarse_state)
+        return after_coarse(self.params, self.site, q, self.to_runs(rotation))
 
     def steps(self, reading: PassReading, number: Count) -> Steps:
-        """Return the effect of the samples of a record interval on the state of all runs."""
+        """Return the effect of the samples of an interval on the state of all runs."""
         method, params, axis = self.method, self.params.method, self.site_axis
         site = passes.site_of_pass(self.site, reading.backward)
-        done = number * self.static.record_every  # samples before this interval
+        done = number * self.spec.interval_samples  # samples before this interval
         step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draw_axis, None))
 
         def n(place: Count) -> Scalar:
@@ -316,36 +310,28 @@ class TileRuns(NamedTuple):
             any_triggered if triggered else None,
         )
 
-    def blocks(self, reading: PassReading) -> Blocks:
-        """Return the samples of a record interval, made in blocks for all draws."""
-        size = block_size(self.static.record_every, self.draws)
-        make = sample_blocks(self.sensors, reading, size, self.record)
-        return Blocks(self.static.record_every, size, make)
-
     def housing_turn(self, number: Count, sensor_state: SensorState) -> Quat | None:
-        """Return the rotation from the housing to the base at the end of a record interval.
+        """Return the rotation from the housing to the base at the end of an interval.
 
         Leaves (draws,); None if the housing does not rotate.
         """
         if self.turns is None:
             return sensor_state.housing and sensor_state.housing.turn
-        pass_number, place = jnp.divmod(number, self.environment.pass_records)
+        pass_number, place = jnp.divmod(number, self.environment.pass_intervals)
         backward = pass_number % 2 == 1
-        end = jnp.where(backward, self.environment.pass_records - place - 1, place + 1)
+        end = jnp.where(backward, self.environment.pass_intervals - place - 1, place + 1)
         turn: Quat = jax.tree.map(lambda a: a[end], self.turns)
         return turn
 
-    def observe(
-        self, run: Run, number: Count, q_true: Quat | None, turn: Quat | None = None
-    ) -> Run:
-        """Return the runs after their observation at the end of a record interval.
+    def observe(self, run: Run, interval: Intervals, turn: Quat | None = None) -> Run:
+        """Return the runs after their observation at the end of an interval.
 
         Args:
             run: at that time.
-            number: of the interval.
-            q_true: attitudes of the draws' bases; None to look them up.
+            interval: that ends.
             turn: rotations from the draws' housings to their bases; None without.
         """
+        number, q_true = interval
         run = run._replace(state=self.fit_blocks(run.state, number))
         if q_true is None:
             q_true = stored_attitude(self.environment.truth, self.draws, number)
@@ -355,20 +341,22 @@ class TileRuns(NamedTuple):
             observe_run,
             self.method,
             self.environment.criteria,
-            self.static.options.dt,
-            self.static.finds_heading,
+            self.spec.options.dt,
+            self.spec.finds_heading,
         )
         over_runs = jax.vmap(observe, in_axes=(0, self.draw_axis, 0, None))
-        n = ((number + 1) * self.static.record_every).astype(self.environment.dtype)
-        return over_runs(run, self.to_runs(q_true), self.floor.phi.z, n)
+        return over_runs(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
+
+    def end_of(self, number: Count) -> Scalar:
+        """Return the number of the last sample of an interval, from 1."""
+        return ((number + 1) * self.spec.interval_samples).astype(self.environment.dtype)
 
     def fit_blocks(self, state: Any, number: Count) -> Any:
-        """Return the state of a method after its fit at the end of a record interval, if it has."""
+        """Return the state of a method after its fit at the end of an interval, if it has."""
         blocks = self.method.block_fit
         if blocks is None:
             return state
-        end = ((number + 1) * self.static.record_every).astype(self.environment.dtype)
-        times = self.environment.criteria.report_samples
+        end, times = self.end_of(number), self.environment.criteria.report_samples
         reported = jnp.asarray(False) if times is None else jnp.any(times == end)
         state = jax.vmap(blocks.store, in_axes=(0, None))(state, number)
         fit = jax.vmap(blocks.fit, in_axes=(0, self.site_axis, 0, None))
@@ -382,12 +370,12 @@ class TileRuns(NamedTuple):
 
     def curve_row(self, run: Run) -> Array | None:
         """Return the latest observations as (fields, lanes) if the program keeps curves."""
-        if not self.static.curves:
+        if not self.spec.curves:
             return None
         return metrics.pack_observation(run.metrics.last)[:, : self.curve_lanes]
 
     def finish(self, run: Run) -> Outcome:
-        """Return the outcomes of the runs after their last record interval."""
+        """Return the outcomes of the runs after their last interval."""
         over_runs = jax.vmap(partial(finish_run, self.method), in_axes=(self.site_axis, 0, 0))
         return over_runs(self.site, run, self.floor)
 
@@ -396,40 +384,31 @@ class TileRuns(NamedTuple):
         return broadcast_to_runs(self.row, tree)
 
 
-def set_up(static: Static, environment: Environment, tile: Tiles) -> TileRuns:
+def set_up(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
-    draws, method = tile.draws, build_program(static)
-    derived = jax.vmap(partial(derive_inputs, static, environment), in_axes=(leaf_axes(draws),))(
-        draws
-    )
-    draws = draws._replace(derived=derived)
+    draws, method, axis = tile.draws, spec.program, _draw_axis(tile.draws)
     to_runs = partial(broadcast_to_runs, tile.row)
-    axis = _draw_axis(draws)
-    q_true = to_runs(jax.vmap(initial_true_attitude, in_axes=(leaf_axes(draws),))(draws))
-    params = jax.vmap(with_initial_errors, in_axes=(0, axis, axis))(
-        tile.params, to_runs(draws.initial), q_true
-    )
-    of_runs = draws._replace(derived=to_runs(derived))
-    site, biases = (
-        select_site(environment.site, of_runs),
-        select_biases(environment.biases, of_runs),
-    )
-    sensors = build_sensors(static, environment, draws)
-    if (housing := sensors.initial_state().housing) is not None and housing.turn is not None:
-        params = params._replace(q=rotations.multiply(params.q, to_runs(housing.turn)))
-    end = end_of_run(static, environment.pass_records)
-    find_floor = method.floor or _no_floor
+    derived = map_draws(partial(derive_inputs, spec, environment), draws)
+    draws = draws._replace(derived=derived)
+    of_runs = inputs_of(environment, draws._replace(derived=to_runs(derived)))
+    params = jax.vmap(with_initial_errors, in_axes=(0, axis))(tile.params, to_runs(draws.initial))
+    sensors = TileSensors(spec, environment, draws)
+    q = draws.q
+    if draws.motion is not None:
+        q = map_draws(lambda draw: base_motion.attitude(draw.motion, 0.0), draws)
+    if (housing := sensors.start().housing) is not None and housing.turn is not None:
+        q = rotations.multiply(q, housing.turn)
+    end, find_floor = end_of_run(spec, environment.pass_intervals), method.floor or _no_floor
     floor = jax.vmap(
         lambda params, site, biases: find_floor(params.method, site.place, biases, end),
         in_axes=(0, *(None if a is None else axis for a in (derived.site, derived.biases))),
-    )(params, site, biases)
+    )(params, of_runs.site, of_runs.biases)
     record = turns = None
-    if kept := static.sensors.kept:
-        every = static.record_every
-        record = sensors.make_record(block_size(every, draws))
-        turns = sensors.housing_turns(kept // every, every)
+    if kept := spec.sensors.kept:
+        record, turns = sensors.make_record(), sensors.housing_turns(kept // spec.interval_samples)
     return TileRuns(
-        static, environment, method, draws, tile.row, params, site, floor, sensors, record, turns
+        *(spec, environment, method, draws, tile.row, params, to_runs(q), of_runs.site, floor),
+        *(sensors, record, turns),
     )
 
 
@@ -453,47 +432,45 @@ def broadcast_to_runs(row: Array, tree: Any) -> Any:
 
 
 def map_stacked_tiles(
-    static: Static, run: Callable[[Tiles], Any], tiles: Tiles
+    spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles
 ) -> Callable[[Tiles], Any]:
     """Return the function of one tile, mapped over the sets of stacked tiles if there are such.
 
     Args:
-        static: program.
+        spec: program.
         run: function of a tile.
         tiles: that it will be applied to, one after the other.
     """
-    if not static.shares_covariance:
+    if not spec.shares_covariance:
         return run
     # Only what belongs to draws differs between the sets.
-    axes: Any = jax.tree.map(lambda a: None, tiles)
     draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
-    q = jax.tree.map(lambda a: 0, tiles.params.q)
-    return jax.vmap(run, in_axes=(axes._replace(draws=draws, params=axes.params._replace(q=q)),))
+    axes: Any = (draws, None, None)
+    return jax.vmap(run, in_axes=(Tiles(*axes),))
 
 
 # The functions of one run
 
 
-def with_initial_errors(params: RunParams, initial: InitialErrors, q: Quat | None) -> RunParams:
-    """Return the params of a run with the initial errors and the true attitude of its draw."""
+def with_initial_errors(params: RunParams, initial: InitialErrors) -> RunParams:
+    """Return the params of a run with the initial errors of its draw."""
     angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, initial.phi, strict=True)))
     if params.euler is not None:
         vector = rotations.euler_vector(*angles)
         pairs = zip(vector, angles, strict=True)
         angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
     return params._replace(
-        q=params.q if q is None else q,
         phi=angles,
         ve=params.ve if initial.ve is None else initial.ve,
         vn=params.vn if initial.vn is None else initial.vn,
     )
 
 
-def end_of_run(static: Static, pass_records: Count) -> RunEnd:
+def end_of_run(spec: ProgramSpec, pass_intervals: Count) -> RunEnd:
     """Return the last sample of a run and the direction of its last pass."""
-    number = (static.records - 1) // pass_records
-    backward = (static.passes == "alternate") & (number % 2 == 1)
-    return RunEnd(float(static.records * static.record_every), backward)
+    number = (spec.intervals - 1) // pass_intervals
+    backward = (spec.passes == "alternate") & (number % 2 == 1)
+    return RunEnd(float(spec.intervals * spec.interval_samples), backward)
 
 
 def initial_solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
@@ -502,45 +479,43 @@ def initial_solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
     return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
 
 
-def start_run(method: Program, criteria: Criteria, site: Site, params: RunParams) -> Run:
-    """Return a run before its first sample."""
-    q = rotations.misalign(params.phi, params.q)
+def start_run(method: Program, criteria: Criteria, site: Site, params: RunParams, q: Quat) -> Run:
+    """Return a run before its first sample, from the attitude before its misalignment."""
+    q = rotations.misalign(params.phi, q)
     nav = initial_solution(site, q, params.ve, params.vn)
     return Run(method.init(params.method, nav), metrics.start(criteria, nav.longitude))
 
 
 def start_after_coarse(
     method: Program,
-    coarse_attitude: Callable[[Any], Quat],
-    samples: int,
+    samples: float,
     dt: float,
     replays: bool,
     params: RunParams,
     site: Site,
-    coarse_state: Any,
+    q: Quat,
     rotation: BodyRotation | None,
 ) -> Any:
     """Return the state of a method after the coarse stage: at rest, with P0.
 
     Args:
         method: of fine alignment.
-        coarse_attitude: state of the coarse method -> attitude.
         samples: length of the coarse stage.
         dt: sample time, s.
         replays: whether fine alignment starts at the first sample.
         params: of the run.
         site: Earth and place.
-        coarse_state: last state of the coarse method.
+        q: attitude at the end of the coarse stage.
         rotation: of the body over the coarse stage; None without a replay.
     """
-    zero, q = jnp.zeros_like(params.ve), coarse_attitude(coarse_state)
+    zero = jnp.zeros_like(params.ve)
     if not replays:
         nav = initial_solution(site, rotations.normalise(q), zero, zero)
         state = method.init(params.method, nav)
         begin_after = method.passes and method.passes.begin_after
-        return begin_after(state, zero + float(samples)) if begin_after else state
+        return begin_after(state, zero + samples) if begin_after else state
     assert rotation is not None
-    q = passes.rewind_attitude(q, rotation, site.place, zero + float(samples) * dt, None)
+    q = passes.rewind_attitude(q, rotation, site.place, zero + samples * dt, None)
     return method.init(params.method, initial_solution(site, q, zero, zero))
 
 
@@ -554,8 +529,7 @@ def reverse_state(
 
 def rewind_state(
     method: Program,
-    record_s: float,
-    pass_records: Count,
+    pass_s: Scalar,
     params: RunParams,
     site: Site,
     state: Any,
@@ -563,9 +537,8 @@ def rewind_state(
 ) -> Any:
     """Return the state that starts the record again, from that at the end of a pass."""
     assert method.passes is not None and method.passes.rewind is not None
-    time = jnp.asarray(pass_records, params.ve.dtype) * record_s
     bias = method.passes.gyro_bias and method.passes.gyro_bias(state)
-    q = passes.rewind_attitude(method.attitude(state), rotation, site.place, time, bias)
+    q = passes.rewind_attitude(method.attitude(state), rotation, site.place, pass_s, bias)
     zero = jnp.zeros_like(params.ve)
     return method.passes.rewind(params.method, initial_solution(site, q, zero, zero), state)
 
@@ -580,14 +553,14 @@ def observe_run(
     floor: Scalar,
     n: Scalar,
 ) -> Run:
-    """Return a run after its observation at a record time, that of the n-th sample.
+    """Return a run after its observation at a output time, that of the n-th sample.
 
     Args:
         method: of the run.
         criteria: by which it is judged.
         dt: sample time, s.
         finds_heading: whether the method finds a heading.
-        run: at the record time.
+        run: at the output time.
         q_true: true or reference attitude, NaN if unknown.
         floor: bias floor of phi_u, rad.
         n: number of the sample.
@@ -600,7 +573,7 @@ def observe_run(
 
 
 def finish_run(method: Program, site: Site, run: Run, floor: BiasFloor) -> Outcome:
-    """Return the outcome of a run after its last record interval."""
+    """Return the outcome of a run after its last interval."""
     results = None if method.results is None else method.results(site, run.state)
     return metrics.finish(run.metrics, _covariance(method, run.state), floor, results)
 

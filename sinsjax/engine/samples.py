@@ -1,9 +1,9 @@
 """Measured increments of the draws of a tile, made in blocks of samples.
 
-A few draws alone would not fill a vector, and the samples of a whole record interval for many draws
-would not fit into the first-level cache. So noise, driving noise and ideal increments are made for
-all draws and all samples of a block at once where that is faster, and only what depends on the
-sample before follows one by one.
+A few draws alone would not fill a vector, and the samples of a whole interval for many draws would
+not fit into the first-level cache. So noise, driving noise and ideal increments are made for all
+draws and all samples of a block at once where that is faster, and only what depends on the sample
+before follows one by one.
 """
 
 from collections.abc import Callable
@@ -13,23 +13,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine.environment import (
+from sinsjax.engine.inputs import (
     Draw,
+    DrawInputs,
     Environment,
+    ProgramSpec,
     SensorModel,
-    SensorProgram,
-    Static,
-    build_program,
-    has_quantisation,
-    select_disturbances,
-    select_motion,
-    select_site,
-    sensor_errors,
+    inputs_of,
+    map_draws,
 )
+from sinsjax.engine.stepping import Blocks
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
 from sinsjax.methods import passes
-from sinsjax.methods.method import Site
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
@@ -62,50 +58,156 @@ class SensorState(NamedTuple):
     rotation: BodyRotation | None = None
 
 
-class BlockInputs(NamedTuple):
-    """The inputs of n samples that do not depend on one another; leaves (n, ...).
+class SampleInputs(NamedTuple):
+    """The inputs of a sample of a draw, or of n samples of all draws, leaves (n, ...).
 
     Attributes:
-        numbers: of the samples in the record; negative before it.
+        number: of the sample in the record; negative before it.
         normal: standard normal numbers of the white noise; None without noise.
         exact: ideal increments; None if they are looked up sample by sample.
         driving: driving noise of the random processes.
     """
 
-    numbers: Array
+    number: Count
     normal: Increments | None
     exact: IdealSample | None
     driving: Disturbances
 
 
+class Measured(NamedTuple):
+    """Measured increments of some samples, and the sensors after them."""
+
+    increments: Increments
+    state: SensorState
+
+
 class DrawSensors(NamedTuple):
-    """The sensors of some draws, or of one.
+    """The sensors of one draw.
 
     Attributes:
-        dt: sample time, s.
-        program: see `SensorProgram`.
-        model: base and sensors of all draws.
-        site: Earth and place of all draws.
-        draws: with derived inputs; leaves (draws,), or () of what all share.
-        dtype: of all numbers.
-        starts_with_zeros: whether samples before the record are read, as zeros.
-        rotation: initial rotation of the body; None if no attitude is propagated back.
+        spec: program.
+        environment: of all draws.
+        draw: with its derived inputs.
     """
 
-    dt: float
-    program: SensorProgram
-    model: SensorModel
-    site: Site
+    spec: ProgramSpec
+    environment: Environment
+    draw: Draw
+
+    @property
+    def inputs(self) -> DrawInputs:
+        """Site, sensor errors, motion and disturbances of the draw."""
+        return inputs_of(self.environment, self.draw)
+
+    def start(self) -> SensorState:
+        """Return the state before the first sample."""
+        zero = jnp.zeros((), self.environment.dtype)
+        zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
+        inputs, shared = self.inputs, self.environment.sensors
+        begin = disturbances.initial_states(inputs.disturbances, shared.seed, self.draw.draw_id)
+        vibrating, moving = None, disturbances.housing_motion(inputs.disturbances, begin)
+        if moving is not None:
+            rate, lever = Vec3(zero, zero, zero), _lever_of_housing(inputs)
+            if lever is not None:
+                assert inputs.motion is not None
+                rate, _ = base_motion.rate_and_force(inputs.motion, inputs.site.place, zero)
+            vibrating = housing.start_housing(moving, lever, rate, zeros)
+        rotation = None
+        if self.spec.rewinds_attitude:
+            rotation = passes.initial_rotation(self.spec.program, zero)
+        remainder = None if inputs.errors.gyro_quantum is None else zeros
+        return SensorState(zeros, begin, vibrating, remainder, rotation)
+
+    def measure(self, state: SensorState, sample: SampleInputs) -> Measured:
+        """Return the increments of the next sample; zeros before the record, to compensate with."""
+        inputs, dt = self.inputs, self.spec.options.dt
+        exact = self.ideal_sample(sample.number) if sample.exact is None else sample.exact
+        processes, disturbed = disturbances.advance_processes(
+            inputs.disturbances, state.processes, sample.driving, dt
+        )
+        place = inputs.site.place
+        moved = disturbances.disturb_motion(exact, disturbed, place, dt)
+        vibrating = state.housing
+        if vibrating is not None and disturbed.housing is not None:
+            rigid, lever = exact._replace(increments=moved), _lever_of_housing(inputs)
+            vibrating, moved = housing.sense_in_housing(
+                vibrating, rigid, disturbed.housing, lever, place, dt
+            )
+        now = sensors.measure_increments(
+            moved, inputs.errors, sample.normal, dt, distorted=self.spec.sensors.distorted
+        )
+        now, remainder = disturbances.add_drifts(now, disturbed), state.remainder
+        if remainder is not None:
+            now, remainder = sensors.quantise(now, inputs.errors, remainder)
+        state = state._replace(processes=processes, housing=vibrating, remainder=remainder)
+        return Measured(self.zero_before_record(sample.number, now), state)
+
+    def ideal_sample(self, n: Count) -> IdealSample:
+        """Return what ideal sensors measure over sample n: stored, or on the draw's own base."""
+        draw, shared = self.draw, self.environment.sensors
+        if draw.derived.rest is not None:
+            return draw.derived.rest
+        if draw.motion is None:
+            at = draw.start + n
+            stored = sensors.split_record_row(jnp.asarray(shared.increments)[at])
+            if shared.axes is None:
+                return IdealSample(stored, None)
+            row = jnp.asarray(shared.axes)[at]
+            axes = base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3)))
+            return IdealSample(stored, axes)
+        assert draw.derived.nodes is not None
+        k = jnp.asarray(n, self.environment.dtype)
+        place, rate_hz = self.inputs.site.place, 1 / self.spec.options.dt
+        return base_motion.ideal_sample(draw.motion, draw.derived.nodes, place, rate_hz, k)
+
+    def zero_before_record(self, n: Count, increments: Increments) -> Increments:
+        """Return increments, or zeros where a backward pass reads beyond the record's beginning."""
+        if self.spec.passes != "alternate":
+            return increments
+        return select_tree(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
+
+
+def _lever_of_housing(inputs: DrawInputs) -> Vec3 | None:
+    """Return the lever arm of a draw whose housing rotates, m; None without one."""
+    rocks = inputs.disturbances.rocking is not None
+    return inputs.motion.lever if inputs.motion is not None and rocks else None
+
+
+class TileSensors(NamedTuple):
+    """The sensors of all draws of a tile.
+
+    Attributes:
+        spec: program.
+        environment: of all draws.
+        draws: with derived inputs; leaves (draws,), or () of what all share.
+    """
+
+    spec: ProgramSpec
+    environment: Environment
     draws: Draw
-    dtype: jnp.dtype
-    starts_with_zeros: bool = False
-    rotation: BodyRotation | None = None
 
-    def initial_state(self) -> SensorState:
+    @property
+    def model(self) -> SensorModel:
+        """Base and sensors of all draws."""
+        return self.environment.sensors
+
+    @property
+    def _is_sequential(self) -> bool:
+        """Whether a sample depends on those before it."""
+        inputs = inputs_of(self.environment, self.draws)
+        disturbed = jax.tree.leaves(inputs.disturbances)
+        return bool(disturbed) or inputs.errors.gyro_quantum is not None
+
+    def of_one(self, draw: Draw) -> DrawSensors:
+        """Return the sensors of one of the draws."""
+        return DrawSensors(self.spec, self.environment, draw)
+
+    def start(self) -> SensorState:
         """Return the state before the first sample, leaves (draws,)."""
-        return self._map_draws(DrawSensors._initial_state_of_one)
+        state: SensorState = map_draws(lambda draw: self.of_one(draw).start(), self.draws)
+        return state
 
-    def make_sampler(self, samples: Array) -> Callable[[SensorState, Array], Any]:
+    def make_sampler(self, samples: Array) -> Callable[[SensorState, Array], Measured]:
         """Return the function that measures some of the given samples for all draws.
 
         Args:
@@ -116,41 +218,63 @@ class DrawSensors(NamedTuple):
             leaves (n, draws), and the state after them.
         """
         shared = self._integrate_shared_motion(samples)
-        exact_axis = None if self.draws.derived.nodes is None else 0
-        step = jax.vmap(
-            lambda draw, *inputs: self._replace(draws=draw).next_sample(*inputs),
-            in_axes=(leaf_axes(self.draws), 0, None, 0, exact_axis, 0),
-        )
 
-        def measure(state: SensorState, places: Array) -> tuple[Increments, SensorState]:
+        def measure(state: SensorState, places: Array) -> Measured:
             numbers = samples[places]
             exact = self._integrate_swaying_motions(numbers)
             if shared is not None:
                 exact = jax.tree.map(lambda a: a[places], shared)
-            inputs = BlockInputs(
-                numbers,
-                self.normal_numbers(numbers),
-                exact,
-                disturbances.driving_noise(
-                    select_disturbances(self.model, self.draws),
-                    self.model.seed,
-                    self.draws.draw_id,
-                    numbers,
-                ),
-            )
-            return self._scan_samples(partial(step, self.draws), state, inputs)
+            present, seed = inputs_of(self.environment, self.draws).disturbances, self.model.seed
+            driving = disturbances.driving_noise(present, seed, self.draws.draw_id, numbers)
+            inputs = SampleInputs(numbers, self.normal_numbers(numbers), exact, driving)
+            return self._measure_block(state, inputs)
 
         return measure
 
     def normal_numbers(self, numbers: Array) -> Increments | None:
         """Return standard normal numbers of n samples, leaves (n, draws); None without noise."""
-        if not self.program.noisy:
+        if not self.spec.sensors.noisy:
             return None
         return sensors.draw_normal_numbers(self.model.seed, self.draws.draw_id, numbers)
 
-    def make_record(self, block: int) -> Increments:
+    @property
+    def block_size(self) -> int:
+        """Samples per block: an interval is cut into equal blocks."""
+        samples = self.spec.interval_samples
+        most = max(1, min(SAMPLES_PER_BLOCK // self.draws.draw_id.size, samples))
+        return max(n for n in range(1, most + 1) if samples % n == 0)
+
+    def blocks(self, reading: PassReading, record: Increments | None = None) -> Blocks:
+        """Return the compensated samples of an interval in blocks, leaves (block, draws).
+
+        Args:
+            reading: order in which the interval reads the record.
+            record: kept records, leaves (samples, draws); None to measure.
+        """
+        measure, size = self.make_sampler(reading.samples), self.block_size
+        compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=reading.backward)))
+
+        def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
+            places = number * size + jnp.arange(size)
+            if record is None:
+                now, later = measure(state, places)
+            else:
+                now, later = self._read_record(record, reading.samples[places]), state
+            # What was read before each sample of the row, and the last of the row.
+            before, last = (
+                jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, state.last),
+                jax.tree.map(lambda a: a[-1], now),
+            )
+            samples, rotation = compensate(now, before), state.rotation
+            if rotation is not None:
+                rotation = passes.accumulate_rotation(rotation, samples, self.spec.options.dt)
+            return samples, later._replace(last=last, rotation=rotation)
+
+        return Blocks(self.spec.interval_samples, size, make)
+
+    def make_record(self) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""
-        kept = self.program.kept
+        kept, block = self.spec.sensors.kept, self.block_size
         measure = self.make_sampler(jnp.arange(kept))
 
         def over_block(state: SensorState, number: Count) -> tuple[SensorState, Array]:
@@ -158,159 +282,57 @@ class DrawSensors(NamedTuple):
             # One array: XLA would copy several with every block.
             return state, jnp.stack(jax.tree.leaves(now), axis=1)
 
-        start = self._replace(rotation=None).initial_state()
+        start = self.start()._replace(rotation=None)
         _, rows = jax.lax.scan(over_block, start, jnp.arange(kept // block))
         return _increments_from_rows(rows.reshape(kept, *rows.shape[2:]))
 
-    def housing_turns(self, intervals: int, every: int) -> Quat | None:
-        """Return the rotation from the housing to the base at record times, leaves (times, draws).
+    def housing_turns(self, intervals: int) -> Quat | None:
+        """Return the rotations from the housing to the base, leaves (intervals + 1, draws).
 
-        Args:
-            intervals: record intervals; their ends follow the beginning of the record.
-            every: samples per interval.
-
-        Returns:
-            None if the housing does not rotate.
+        They are those at the beginning of the record and at the end of each interval; None if the
+        housing does not rotate.
         """
-        rocking = select_disturbances(self.model, self.draws).rocking
-        if rocking is None:
+        every, dt = self.spec.interval_samples, self.spec.options.dt
+        if inputs_of(self.environment, self.draws).disturbances.rocking is None:
             return None
-        alone = Disturbances(rocking=rocking)
-        model, draws = self.model._replace(disturbances=alone), self.draws
-        if draws.disturbances is not None:
-            draws = draws._replace(disturbances=alone)
-        source = self._replace(model=model, draws=draws)
-        axes = leaf_axes(draws)
+
+        def rocking_of(draw: Draw) -> Disturbances:
+            rocking = inputs_of(self.environment, draw).disturbances.rocking
+            return Disturbances(rocking=rocking)
 
         def advance(draw: Draw, state: Disturbances, normal: Disturbances) -> Disturbances:
-            them = select_disturbances(model, draw)
-            return disturbances.advance_processes(them, state, normal, self.dt)[0]
+            return disturbances.advance_processes(rocking_of(draw), state, normal, dt)[0]
+
+        def turn(draw: Draw, state: Disturbances) -> Array:
+            motion = disturbances.housing_motion(rocking_of(draw), state)
+            assert motion is not None and motion.angle is not None
+            return jnp.stack(exp_of_sample(motion.angle))
+
+        def over_sample(state: Disturbances, normal: Disturbances) -> tuple[Disturbances, None]:
+            return map_draws(advance, self.draws, state, normal), None
 
         def over_interval(state: Disturbances, number: Count) -> tuple[Disturbances, Array]:
-            numbers = number * every + jnp.arange(every)
-            normal = disturbances.driving_noise(alone, model.seed, draws.draw_id, numbers)
-            step = jax.vmap(advance, in_axes=(axes, 0, 0))
-            state, _ = jax.lax.scan(lambda s, w: (step(draws, s, w), None), state, normal)
-            return state, turns(state)
+            numbers, present = number * every + jnp.arange(every), rocking_of(self.draws)
+            normal = disturbances.driving_noise(
+                present, self.model.seed, self.draws.draw_id, numbers
+            )
+            state, _ = jax.lax.scan(over_sample, state, normal)
+            return state, map_draws(turn, self.draws, state)
 
-        def turns(state: Disturbances) -> Array:
-            def turn(draw: Draw, state: Disturbances) -> Array:
-                motion = disturbances.housing_motion(select_disturbances(model, draw), state)
-                assert motion is not None and motion.angle is not None
-                return jnp.stack(exp_of_sample(motion.angle))
+        def begin(draw: Draw) -> Disturbances:
+            return disturbances.initial_states(rocking_of(draw), self.model.seed, draw.draw_id)
 
-            return jax.vmap(turn, in_axes=(axes, 0))(draws, state)
-
-        first = source.initial_state().processes
+        first = map_draws(begin, self.draws)
         _, rows = jax.lax.scan(over_interval, first, jnp.arange(intervals))
-        return Quat(*jnp.moveaxis(jnp.concatenate([turns(first)[None], rows]), -1, 0))
+        rows = jnp.concatenate([map_draws(turn, self.draws, first)[None], rows])
+        return Quat(*jnp.moveaxis(rows, -1, 0))
 
-    def read_record(self, record: Increments, numbers: Array) -> Increments:
+    def _read_record(self, record: Increments, numbers: Array) -> Increments:
         """Return n samples of kept records, leaves (n, draws)."""
+        any_draw = self.of_one(self.draws)
         return jax.vmap(
-            lambda n: self._zero_before_record(n, jax.tree.map(lambda a: a[n], record))
+            lambda n: any_draw.zero_before_record(n, jax.tree.map(lambda a: a[n], record))
         )(numbers)
-
-    # The sensors of one draw
-
-    def next_sample(
-        self,
-        state: SensorState,
-        n: Count,
-        normal: Increments | None,
-        exact: IdealSample | None,
-        driving: Disturbances,
-    ) -> tuple[SensorState, Increments]:
-        """Measure the next sample of one draw.
-
-        Args:
-            state: before it.
-            n: its number in the record.
-            normal: see `BlockInputs`, for one sample.
-            exact: likewise.
-            driving: likewise.
-
-        Returns:
-            The state after it, and its increments; zeros before the record, which compensate
-            nothing.
-        """
-        errors, dt = sensor_errors(self.model, self.draws), self.dt
-        exact = self._ideal_sample(n) if exact is None else exact
-        processes, disturbed = disturbances.advance_processes(
-            select_disturbances(self.model, self.draws), state.processes, driving, dt
-        )
-        place = select_site(self.site, self.draws).place
-        moved = disturbances.disturb_motion(exact, disturbed, place, dt)
-        vibrating = state.housing
-        if vibrating is not None and disturbed.housing is not None:
-            rigid = exact._replace(increments=moved)
-            vibrating, moved = housing.sense_in_housing(
-                vibrating, rigid, disturbed.housing, self._lever(), place, dt
-            )
-        now = sensors.measure_increments(
-            moved, errors, normal, dt, distorted=self.program.distorted
-        )
-        now, remainder = disturbances.add_drifts(now, disturbed), state.remainder
-        if remainder is not None:
-            now, remainder = sensors.quantise(now, errors, remainder)
-        state = state._replace(processes=processes, housing=vibrating, remainder=remainder)
-        return state, self._zero_before_record(n, now)
-
-    def _initial_state_of_one(self) -> SensorState:
-        zero = jnp.zeros((), self.dtype)
-        zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        them = select_disturbances(self.model, self.draws)
-        begin = disturbances.initial_states(them, self.model.seed, self.draws.draw_id)
-        vibrating, moving = None, disturbances.housing_motion(them, begin)
-        if moving is not None:
-            vibrating = housing.start_housing(moving, self._lever(), self._initial_rate(), zeros)
-        remainder = zeros if has_quantisation(self.model, self.draws) else None
-        return SensorState(zeros, begin, vibrating, remainder, self.rotation)
-
-    def _lever(self) -> Vec3 | None:
-        """Return the lever arm of a draw whose housing rotates, m; None without one."""
-        motion = select_motion(self.model, self.draws)
-        rocks = select_disturbances(self.model, self.draws).rocking is not None
-        return motion.lever if motion is not None and rocks else None
-
-    def _initial_rate(self) -> Vec3:
-        """Return the angular rate of the base as the record begins, rad/s; zero without a lever."""
-        motion = select_motion(self.model, self.draws)
-        if motion is None or self._lever() is None:
-            return Vec3(*(jnp.zeros((), self.dtype),) * 3)
-        place = select_site(self.site, self.draws).place
-        return base_motion.rate_and_force(motion, place, jnp.zeros((), self.dtype))[0]
-
-    def _ideal_sample(self, n: Count) -> IdealSample:
-        """Return what ideal sensors measure over sample n: stored, or of the draw's own base."""
-        draw = self.draws
-        if draw.derived.rest is not None:
-            return draw.derived.rest
-        if draw.motion is None:
-            place = draw.start + n
-            stored = sensors.split_record_row(jnp.asarray(self.model.increments)[place])
-            if self.model.axes is None:
-                return IdealSample(stored, None)
-            row = jnp.asarray(self.model.axes)[place]
-            return IdealSample(
-                stored, base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3)))
-            )
-        assert draw.derived.nodes is not None
-        here = select_site(self.site, draw).place
-        k = jnp.asarray(n, self.dtype)
-        return base_motion.ideal_sample(draw.motion, draw.derived.nodes, here, 1 / self.dt, k)
-
-    def _zero_before_record(self, n: Count, increments: Increments) -> Increments:
-        if not self.starts_with_zeros:
-            return increments
-        return select_tree(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
-
-    # The sensors of many draws
-
-    def _map_draws(self, function: Callable[["DrawSensors"], Any]) -> Any:
-        return jax.vmap(
-            lambda draw: function(self._replace(draws=draw)), in_axes=(leaf_axes(self.draws),)
-        )(self.draws)
 
     def _integrate_shared_motion(self, numbers: Array) -> IdealSample | None:
         """Return ideal increments of n samples of the base that all draws share, leaves (n,).
@@ -320,10 +342,11 @@ class DrawSensors(NamedTuple):
         if self.model.increments is not None or self.draws.motion is not None:
             return None
         assert self.model.motion is not None
-        motion, place, rate_hz = self.model.motion, self.site.place, 1 / self.dt
+        motion, place = self.model.motion, self.environment.site.place
+        rate_hz = 1 / self.spec.options.dt
         nodes = base_motion.integration_nodes(motion, rate_hz)
         sense = partial(base_motion.ideal_sample, motion, nodes, place, rate_hz)
-        k = jnp.asarray(numbers, self.dtype)
+        k = jnp.asarray(numbers, self.environment.dtype)
         if k.size <= SAMPLES_PER_CALL:
             return jax.vmap(sense)(k)
         return jax.lax.map(sense, k, batch_size=SAMPLES_PER_CALL)
@@ -340,115 +363,35 @@ class DrawSensors(NamedTuple):
         def tile(a: Array) -> Array:
             return jnp.tile(a, (len(numbers), *(1 for _ in a.shape[1:]))) if jnp.ndim(a) else a
 
-        row = jax.vmap(
-            lambda draw, n: self._replace(draws=draw)._ideal_sample(n),
-            in_axes=(leaf_axes(self.draws), 0),
-        )(jax.tree.map(tile, self.draws), jnp.repeat(numbers, shape[1]))
+        draws, all_numbers = jax.tree.map(tile, self.draws), jnp.repeat(numbers, shape[1])
+        row = map_draws(lambda draw, n: self.of_one(draw).ideal_sample(n), draws, all_numbers)
         return jax.tree.map(lambda a: a.reshape(shape), row)
 
-    def _scan_samples(
-        self,
-        step: Callable[..., tuple[SensorState, Increments]],
-        state: SensorState,
-        inputs: BlockInputs,
-    ) -> tuple[Increments, SensorState]:
-        """Measure the samples of a block, one after the other only if they depend on one another.
+    def _measure_block(self, state: SensorState, inputs: SampleInputs) -> Measured:
+        """Measure a block of samples, one after the other only if they depend on one another."""
+        exact_axis = None if self.draws.derived.nodes is None else 0
+        of_sample: Any = (None, 0, exact_axis, 0)
 
-        Args:
-            step: `next_sample`, of all draws.
-            state: before the block.
-            inputs: of its samples.
-        """
-        disturbed = jax.tree.leaves(select_disturbances(self.model, self.draws))
-        if not disturbed and not has_quantisation(self.model, self.draws):
-            return jax.vmap(lambda *sample: step(state, *sample)[1])(*inputs), state
-        if inputs.numbers.size == 1:  # of many draws, which fill the vectors by themselves
-            state, now = step(state, *jax.tree.map(lambda a: a[0], inputs))
-            return jax.tree.map(lambda a: a[None], now), state
+        def measure(state: SensorState, sample: SampleInputs) -> Measured:
+            measured: Measured = map_draws(
+                lambda draw, *of_draw: self.of_one(draw).measure(*of_draw),
+                *(self.draws, state, sample),
+                axes=(0, SampleInputs(*of_sample)),
+            )
+            return measured
 
-        def over_sample(state: SensorState, sample: BlockInputs) -> tuple[SensorState, Array]:
-            state, now = step(state, *sample)
+        if not self._is_sequential:
+            return Measured(jax.vmap(lambda sample: measure(state, sample)[0])(inputs), state)
+        if inputs.number.size == 1:  # of many draws, which fill the vectors by themselves
+            now, state = measure(state, jax.tree.map(lambda a: a[0], inputs))
+            return Measured(jax.tree.map(lambda a: a[None], now), state)
+
+        def over_sample(state: SensorState, sample: SampleInputs) -> tuple[SensorState, Array]:
+            now, state = measure(state, sample)
             return state, jnp.stack(jax.tree.leaves(now))  # XLA would copy several arrays
 
         state, rows = jax.lax.scan(over_sample, state, inputs)
-        return _increments_from_rows(rows), state
-
-
-def build_sensors(static: Static, environment: Environment, draws: Draw) -> DrawSensors:
-    """Return the sensors of some draws; these have their derived inputs."""
-    rotation = None
-    if static.rewinds_attitude:
-        zero = jnp.zeros((), environment.dtype)
-        rotation = passes.initial_rotation(build_program(static), zero)
-    return DrawSensors(
-        dt=static.options.dt,
-        program=static.sensors,
-        model=environment.sensors,
-        site=environment.site,
-        draws=draws,
-        dtype=environment.dtype,
-        starts_with_zeros=static.passes == "alternate",
-        rotation=rotation,
-    )
-
-
-def block_size(record_every: int, draws: Draw) -> int:
-    """Return the samples per block; a record interval is cut into equal blocks."""
-    most = SAMPLES_PER_BLOCK // draws.draw_id.size
-    return max(n for n in range(1, max(1, min(most, record_every)) + 1) if record_every % n == 0)
-
-
-def sample_blocks(
-    source: DrawSensors,
-    reading: PassReading,
-    block: int,
-    record: Increments | None = None,
-) -> Callable[[SensorState, Count], tuple[Sample, SensorState]]:
-    """Return the function that makes the blocks of samples of a record interval.
-
-    Args:
-        source: sensors of the draws.
-        reading: order in which the interval reads the record.
-        block: samples per block.
-        record: kept records, leaves (samples, draws); None to measure.
-
-    Returns:
-        (state before a block, its number) -> compensated samples with leaves (samples, draws), and
-        the state after it.
-    """
-    measure = source.make_sampler(reading.samples)
-    compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=reading.backward)))
-
-    def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
-        places = number * block + jnp.arange(block)
-        if record is None:
-            now, later = measure(state, places)
-        else:
-            now, later = source.read_record(record, reading.samples[places]), state
-        previous, last = previous_increments(now, state.last)
-        samples = compensate(now, previous)
-        rotation = state.rotation
-        if rotation is not None:
-            rotation = passes.accumulate_rotation(rotation, samples, source.dt)
-        return samples, later._replace(last=last, rotation=rotation)
-
-    return make
-
-
-def previous_increments(now: Increments, last: Increments) -> tuple[Increments, Increments]:
-    """Return for each sample of a row the increments read before it, and the last of the row.
-
-    Args:
-        now: increments of the row, leaves (n, ...).
-        last: increments read before the first of them, leaves (...).
-    """
-    shifted = jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, last)
-    return shifted, jax.tree.map(lambda a: a[-1], now)
-
-
-def leaf_axes(draws: Draw) -> Any:
-    """Return the axis of draws in each leaf, for `jax.vmap`; None for what all share."""
-    return jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+        return Measured(_increments_from_rows(rows), state)
 
 
 def _increments_from_rows(rows: Array) -> Increments:

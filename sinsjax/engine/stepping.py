@@ -1,4 +1,4 @@
-"""The samples of a record interval: one by one, or from one event to the next.
+"""The samples of an interval: one by one, or from one event to the next.
 
 Every sample is a step. Closing the loop is an event, due every so many samples or called for by a
 run at a sample. The runs of a tile step together to the first event of any of them, at which all
@@ -49,10 +49,10 @@ class Blocks(NamedTuple):
     make: Callable[[Any, Count], tuple[Any, Any]]
 
 
-def advance_interval(
+def take_samples(
     steps: Steps, state: Any, sensor_state: Any, blocks: Blocks, *, by_event: bool = True
 ) -> tuple[Any, Any]:
-    """Take all samples of a record interval.
+    """Take all samples of an interval.
 
     Args:
         steps: effect of the samples.
@@ -74,7 +74,7 @@ def advance_interval(
 def sample_by_sample(
     steps: Steps, state: Any, sensor_state: Any, blocks: Blocks
 ) -> tuple[Any, Any]:
-    """Close after every sample; arguments as of `advance_interval`."""
+    """Close after every sample; arguments as of `take_samples`."""
 
     def over_sample(state: Any, xs: tuple[Count, Any]) -> tuple[Any, None]:
         place, sample = xs
@@ -91,7 +91,7 @@ def sample_by_sample(
 
 
 def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) -> tuple[Any, Any]:
-    """Close at events and at the end of the interval; arguments as of `advance_interval`."""
+    """Close at events and at the end of the interval; arguments as of `take_samples`."""
     count, size, make = blocks
     next_event, triggered = steps.next_event, steps.triggered
     assert next_event is not None

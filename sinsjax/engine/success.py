@@ -1,5 +1,6 @@
-"""Success of runs: settling times about the bias floor and about the truth, and a status."""
+"""Which runs have a bias floor, and which are successes: settling times, and a status."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -7,12 +8,74 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.engine.metrics import Outcome
-from sinsjax.study.study import Study
-from sinsjax.study.success import settling_bands, success_criteria
-from sinsjax.units import ARCMIN, DEG
+from sinsjax.units import ARCMIN
 
 FLOOR, TRUTH = 0, 1
 """Rows of results that are judged from the bias floor and from the truth."""
+
+LEAST_PERIODS = 10
+"""Sway periods since the last reset that are needed to average a bias."""
+
+MOST_SHARED = 5 * ARCMIN
+"""Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
+
+
+class FloorConditions(NamedTuple):
+    """What decides whether runs have the bias floor of `methods.floors`.
+
+    Attributes:
+        amplitudes: (3, runs) of the sways in pitch, roll and yaw, rad.
+        periods_s: (3, runs) their periods, s.
+        averaged_over_s: (runs,) time since the last reset, at most a pass over the record, s.
+        biased: (runs,) whether a sensor has a constant bias.
+        turned: (runs,) whether the base is turned, or its attitude is that of a file.
+        known: (runs,) whether the method has a floor that is known.
+        shared: (runs,) part of one sigma of heading that the filter takes for gyro bias, rad; NaN
+            of a method without gyro bias states.
+    """
+
+    amplitudes: NDArray
+    periods_s: NDArray
+    averaged_over_s: NDArray
+    biased: NDArray
+    turned: NDArray
+    known: NDArray
+    shared: NDArray
+
+
+def has_floor(runs: FloorConditions) -> NDArray:
+    """Return whether runs have a bias floor, (runs,) bool.
+
+    Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
+    record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
+    once the base moves. On a still base it cannot, and has the bias floor of a filter without them
+    if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. No run
+    has one whose base is turned.
+    """
+    moves = runs.amplitudes != 0
+    slow = moves & (LEAST_PERIODS * runs.periods_s > runs.averaged_over_s * (1 + 1e-9))
+    averaged = ~(runs.biased & slow.any(0))
+    attributed = ~moves.any(0) & (runs.shared <= MOST_SHARED)
+    floors: NDArray = np.where(np.isnan(runs.shared), averaged, attributed)
+    return floors & runs.known & ~runs.turned
+
+
+class SuccessLimits(NamedTuple):
+    """The limits of successful runs.
+
+    Attributes:
+        from_truth: whether they are judged from the truth, or else from the bias floor.
+        band: place, among the bands of settling times, of that in which the heading error ends.
+        level_band: half-width of the band in which the level errors end, rad.
+        diverged: final heading error beyond which an unsuccessful run has diverged, rad.
+        dwell_s: lengths of runs, s -> time in the band before the end that they need, s.
+    """
+
+    from_truth: bool
+    band: int
+    level_band: float
+    diverged: float
+    dwell_s: Callable[[NDArray], NDArray]
 
 
 class RunSuccess(NamedTuple):
@@ -32,72 +95,55 @@ class RunSuccess(NamedTuple):
     status: pa.Array
 
 
-class SuccessEvaluator:
-    """Evaluates the success of a study's runs."""
+def evaluate_success(
+    limits: SuccessLimits,
+    outcome: Outcome,
+    floors: NDArray,
+    end_s: NDArray,
+    *,
+    has_truth: bool = True,
+    finds_heading: bool = True,
+) -> RunSuccess:
+    """Return the success of some runs.
 
-    def __init__(self, study: Study, *, has_truth: bool) -> None:
-        """Read the criteria of a study; without a truth only non-finite runs are known."""
-        self._success = success_criteria(study)
-        self._band = settling_bands(study).index(self._success.band_arcmin)
-        self._has_truth = has_truth
+    Args:
+        limits: of a success.
+        outcome: of the engine, leaves (runs, ...).
+        floors: (runs,) whether a run has a bias floor.
+        end_s: (runs,) lengths, s.
+        has_truth: whether there is a truth; without one only non-finite runs are known.
+        finds_heading: whether their method finds a heading; otherwise none is a success.
+    """
+    outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
+    settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
+    settled_s[FLOOR, :, ~floors] = np.nan
+    no_north = (floors & np.asarray(outcome.floor.no_north)) | (not finds_heading)
+    latest_s = (end_s - limits.dwell_s(end_s)) * (1 + 1e-12)
+    ok = (settled_s[:, limits.band] <= latest_s) & _is_level(limits, outcome) & ~no_north
+    # Of several reasons the first one listed counts.
+    last = outcome.last
+    angles = (last.pitch, last.roll, last.yaw) if finds_heading else (last.pitch, last.roll)
+    broken = ~np.isfinite(np.stack(angles)).all(axis=0)
+    if not has_truth:
+        status = ["nonfinite" if b else None for b in broken]
+        return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
+    error = np.asarray(last.phi.z) - np.where(floors, outcome.floor.phi.z, 0.0)
+    kinds = {
+        "nonfinite": broken,
+        "no_north": no_north,
+        None: ~floors & (not limits.from_truth),
+        "ok": ok[TRUTH if limits.from_truth else FLOOR],
+        "diverged": np.abs(error) > limits.diverged,
+    }
+    kind = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))
+    status = np.array([*kinds, "not_settled"], dtype=object)[kind]
+    return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
 
-    def __call__(
-        self,
-        outcome: Outcome,
-        has_floor: NDArray,
-        end_s: NDArray,
-        *,
-        finds_heading: bool = True,
-    ) -> RunSuccess:
-        """Return the success of some runs.
 
-        Args:
-            outcome: of the engine, leaves (runs, ...).
-            has_floor: (runs,) whether a run has a bias floor.
-            end_s: (runs,) lengths, s.
-            finds_heading: whether their method finds a heading; otherwise none is a success.
-        """
-        outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
-        settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
-        settled_s[FLOOR, :, ~has_floor] = np.nan
-        no_north = (has_floor & np.asarray(outcome.floor.no_north)) | (not finds_heading)
-        latest_s = (end_s - self._success.dwell(end_s)) * (1 + 1e-12)
-        long_enough = settled_s[:, self._band] <= latest_s
-        ok = long_enough & self._is_level(outcome) & ~no_north
-        status = self._status(outcome, has_floor, no_north, ok, finds_heading=finds_heading)
-        return RunSuccess(has_floor, settled_s, ok, status)
-
-    def _is_level(self, outcome: Outcome) -> NDArray:
-        """Return whether both level errors end in their band about floor and truth, (2, runs)."""
-        band, floor = self._success.level_band_arcmin * ARCMIN, outcome.floor
-        phi, at_floor = (np.stack([vector.x, vector.y]) for vector in (outcome.last.phi, floor.phi))
-        from_floor = np.abs(phi - at_floor).max(axis=0) <= band
-        from_truth = np.abs(phi).max(axis=0) <= band + np.asarray(floor.tilt)
-        return np.stack([from_floor, from_truth])
-
-    def _status(
-        self,
-        outcome: Outcome,
-        has_floor: NDArray,
-        no_north: NDArray,
-        ok: NDArray,
-        *,
-        finds_heading: bool,
-    ) -> pa.Array:
-        """Return why each run is ok or not; of several reasons the first one listed counts."""
-        last = outcome.last
-        angles = (last.pitch, last.roll, last.yaw) if finds_heading else (last.pitch, last.roll)
-        broken = ~np.isfinite(np.stack(angles)).all(axis=0)
-        if not self._has_truth:
-            return pa.array(["nonfinite" if b else None for b in broken], pa.string())
-        from_truth = self._success.from_truth
-        error = np.asarray(last.phi.z) - np.where(has_floor, outcome.floor.phi.z, 0.0)
-        kinds = {
-            "nonfinite": broken,
-            "no_north": no_north,
-            None: ~has_floor & (not from_truth),
-            "ok": ok[TRUTH if from_truth else FLOOR],
-            "diverged": np.abs(error) > self._success.diverged_deg * DEG,
-        }
-        kind = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))
-        return pa.array(np.array([*kinds, "not_settled"], dtype=object)[kind], pa.string())
+def _is_level(limits: SuccessLimits, outcome: Outcome) -> NDArray:
+    """Return whether both level errors end in their band about floor and truth, (2, runs)."""
+    floor = outcome.floor
+    phi, at_floor = (np.stack([vector.x, vector.y]) for vector in (outcome.last.phi, floor.phi))
+    from_floor = np.abs(phi - at_floor).max(axis=0) <= limits.level_band
+    from_truth = np.abs(phi).max(axis=0) <= limits.level_band + np.asarray(floor.tilt)
+    return np.stack([from_floor, from_truth])

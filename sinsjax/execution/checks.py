@@ -6,10 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.engine.bias_floors import hidden_north
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.environment import build_program
-from sinsjax.engine.truth import read_site, start_samples
+from sinsjax.engine.scenario import Scenario, hidden_north, read_site, start_samples
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.keys import update_variance
@@ -72,17 +69,17 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
     if not plugins:
         return
     scenario = Scenario(study, stored, curves=False)
-    for number, static in enumerate(scenario.statics):
-        if static.method not in plugins:
+    for number, spec in enumerate(scenario.specs):
+        if spec.method not in plugins:
             continue
-        group, ids = scenario.part(number, range(1), blank=stored is None)
+        batch = scenario.batch(number, range(1), blank=stored is None)
         check_plugin(
-            REGISTRY.label(static.method),
-            build_program(static),
-            group.variants.method,
-            len(ids),
-            group.environment.site,
-            passes=static.passes,
+            REGISTRY.label(spec.method),
+            spec.program,
+            batch.params.method,
+            batch.n_variants,
+            batch.environment.site,
+            passes=spec.passes,
         )
 
 

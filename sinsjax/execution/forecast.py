@@ -13,16 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax.columns import Column
-from sinsjax.engine.batch import CHUNK_RECORDS
-from sinsjax.engine.build import PROGRAM_KEYS
-from sinsjax.engine.lanes import LANES, STACKED_TILES
-from sinsjax.engine.sensor_inputs import (
-    AMPLITUDE_KEYS,
-    DISTORTION_KEYS,
-    DISTURBANCE_KEYS,
-    NOISE_KEYS,
-)
-from sinsjax.engine.truth import MOST_STORED_SAMPLES
+from sinsjax.engine.batch import CHUNK_RECORDS, LANES, STACKED_TILES
+from sinsjax.engine.scenario import MOST_STORED_SAMPLES, PROGRAM_KEYS
 from sinsjax.errors import InputError
 from sinsjax.execution import schemas, stopping
 from sinsjax.execution.directory import find_manifest
@@ -30,7 +22,7 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
-from sinsjax.study.schema import NUMBERS_DRAWN
+from sinsjax.study.schema import NUMBERS_DRAWN, keys_acting_as
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
@@ -59,7 +51,7 @@ _DESCENT_SAMPLE_S = 15e-6
 _TRACE_S = 2.0
 """Measured time to trace a gradient, s."""
 
-_SWITCH_KEYS = {*NOISE_KEYS, *DISTORTION_KEYS, *AMPLITUDE_KEYS, *DISTURBANCE_KEYS}
+_SWITCH_KEYS = keys_acting_as("noise", "distortion", "sway", "process")
 """Keys that simplify the program if they are zero."""
 
 _MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws

@@ -27,16 +27,15 @@ from sinsjax.bounds.turning_information import (
     WhiteNoise,
     turning_heading_bound,
 )
-from sinsjax.engine.build import ENVIRONMENT_KEYS, Scenario
-from sinsjax.engine.environment import Environment
-from sinsjax.engine.sensor_inputs import (
-    DISTORTION_KEYS,
+from sinsjax.engine.inputs import Environment
+from sinsjax.engine.scenario import (
+    ENVIRONMENT_KEYS,
+    Scenario,
     add_turns,
     read_disturbances,
     read_errors,
     read_sways,
 )
-from sinsjax.engine.truth import read_site
 from sinsjax.errors import InputError
 from sinsjax.execution.tables import make_table
 from sinsjax.maths.rotations import matrix
@@ -48,13 +47,13 @@ from sinsjax.strapdown.processes import Process, rounding_process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import load_study
-from sinsjax.study.schema import BIAS_KEYS
+from sinsjax.study.schema import keys_acting_as
 from sinsjax.study.study import Study
 from sinsjax.study.variants import Variants
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
 
-_CONSTANT_KEYS = (*BIAS_KEYS, *DISTORTION_KEYS)
+_CONSTANT_KEYS = keys_acting_as("bias", "distortion")
 """Keys of the sensors' constant errors."""
 
 _TIMES = 4096
@@ -121,7 +120,7 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     study = scenario.study
     environment = _environment(scenario, part)
     sensors = environment.sensors
-    variants = Variants(study, scenario.variant_ids[part])
+    variants = scenario.keys(part)
     motion = add_turns(read_sways(variants.common), variants)
     if motion.turns or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
         problem = _problem_with_priors(study, variants, environment, motion)
@@ -155,7 +154,7 @@ def error_sources(study: Study) -> ErrorSources:
     runtime.ensure_configured()
     _check_bound_applies(study)
     scenario = Scenario(study)
-    variants, environment = Variants(study, scenario.variant_ids[0]), _environment(scenario, 0)
+    variants, environment = scenario.keys(0), _environment(scenario, 0)
     motion = add_turns(still(read_sways(variants.common)), variants)
     problem = _problem_with_priors(study, variants, environment, motion)
     if not motion.turns:
@@ -188,7 +187,7 @@ def still(motion: Motion) -> Motion:
 
 
 def _environment(scenario: Scenario, part: int) -> Environment:
-    environment = scenario.part(part, range(1), blank=True).group.environment
+    environment = scenario.batch(part, range(1), blank=True).environment
     if not np.all(environment.sensors.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     return environment
@@ -208,7 +207,7 @@ def _problem_with_priors(
     study: Study, variants: Variants, environment: Environment, motion: Motion
 ) -> HeadingProblem:
     """Return a base that turns, or sensors with drawn errors."""
-    dt, ug = 1 / study.rate_hz, read_site(study, variants, None)[1]
+    dt = 1 / study.rate_hz
     errors, disturbances = environment.sensors.errors, environment.sensors.disturbances
     laws = {} if study.drawn is None else study.drawn.laws
 
@@ -221,13 +220,13 @@ def _problem_with_priors(
         return np.abs(value) if motion.turns else 0.0
 
     def increment_errors(step: float) -> IncrementErrors:
-        processes = read_disturbances(variants, ug, 1 / step)
+        processes = read_disturbances(variants, 1 / step)
         present = increment_error_processes(processes, step).values()
         return (*present, *(process for _, process in _iter_quantisation(errors)))
 
     moves = (disturbances.surge, disturbances.shaking)
     longest_step = dt if any(process is not None for process in moves) else LONGEST_STEP_S
-    sigmas = read_errors(sigma_of, ug, study.rate_hz)
+    sigmas = read_errors(sigma_of, variants.micro_g, study.rate_hz)
     periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]
     per_period = max((longest_step / period for period in periods), default=0.0)
     return HeadingProblem(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sinsjax.columns import FAILED, Column
 from sinsjax.engine.batch import Chunk
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.execution.tables import TableBuilder
 
 

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from sinsjax import console as screen
 from sinsjax import plots
-from sinsjax.engine.batch import Calls
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.batch import Chunks
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
@@ -51,14 +51,13 @@ def repeat_run(study: Study, run_id: int, stored_record: StoredRecord | None = N
     _check_run_id(study, run_id, study.name)
     draw, variant = divmod(run_id, study.n_variants)
     scenario = Scenario(study, stored_record, curves=True)
-    part = next(i for i, ids in enumerate(scenario.variant_ids) if variant in ids)
-    ids = scenario.variant_ids[part]
-    index = int(np.flatnonzero(ids == variant)[0])
-    group = scenario.part(part, range(draw, draw + 1)).group
-    # The smallest possible call: a run's bits do not depend on its lane or call.
-    calls = Calls(group, tiles_per_chunk=1)
-    first = int(np.flatnonzero(group.draws.draw_id == draw)[0])
-    tables = RunOutput(scenario).make_tables(calls.chunk(calls.plan.call_of(first, index)), ids)
+    number, place = scenario.find(variant)
+    batch = scenario.batch(number, range(draw, draw + 1))
+    # The smallest possible chunk: a run's bits do not depend on its lane or chunk.
+    chunks = Chunks(batch, tiles_per_chunk=1)
+    first = int(np.flatnonzero(batch.draws.draw_id == draw)[0])
+    chunk = chunks.compute(chunks.layout.chunk_of(first, place))
+    tables = RunOutput(scenario).make_tables(chunk, batch.variant_ids)
     results = (tables["summary"], tables["curves"])
     return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in results))
 

@@ -1,6 +1,5 @@
 """Conversion of the engine's arrays to result tables; rows depend only on the study."""
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,14 @@ import pyarrow.compute as pc
 from sinsjax import columns
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
-from sinsjax.engine.bias_floors import has_floor, last_scheduled_reset_s, variants_with_floor
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, SuccessEvaluator
-from sinsjax.engine.truth import start_samples
+from sinsjax.engine.scenario import (
+    floor_conditions,
+    last_scheduled_reset_s,
+    start_samples,
+    success_limits,
+)
+from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, evaluate_success, has_floor
 from sinsjax.execution import schemas
 from sinsjax.methods.filters.keys import last_triggered_sample
 from sinsjax.methods.method import Method
@@ -39,7 +42,7 @@ class TableBuilder:
         self._study = study
         self._has_truth = has_truth
         self._bands = settling_bands(study)
-        self._judge = SuccessEvaluator(study, has_truth=has_truth)
+        self._limits = success_limits(study)
         self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = last_scheduled_reset_s(study)
         self.summary_columns = schemas.summary_columns(study)
@@ -82,10 +85,12 @@ class TableBuilder:
             drawn_values = column[chunk.draw - first]
             values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)
         values |= self._angle_columns(outcome.last)
-        verdict = self._judge(
+        verdict = evaluate_success(
+            self._limits,
             outcome,
             self._floor_flags(chunk, variant),
             self._end_s[variant],
+            has_truth=self._has_truth,
             finds_heading=self._chunk_method(variant).finds_heading,
         )
         values |= self._settling_columns(
@@ -203,18 +208,12 @@ class TableBuilder:
 
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
-        last_event = last_triggered_sample(chunk.outcome.results)
-        if last_event is None and not self._study.drawn_keys:
-            return self._has_floor_by_variant[variant]
+        if self._study.is_recorded:  # its reference is its floor
+            return np.ones(len(variant), bool)
         last_s = self._last_reset_s[variant]
-        if last_event is not None:
+        if (last_event := last_triggered_sample(chunk.outcome.results)) is not None:
             last_s = np.maximum(last_s, last_event / self._study.rate_hz)
-        return has_floor(self._study, chunk.draw, variant, last_s)
-
-    @cached_property
-    def _has_floor_by_variant(self) -> np.ndarray:
-        """Whether each variant has a bias floor, if neither draws nor triggers decide that."""
-        return variants_with_floor(self._study)
+        return has_floor(floor_conditions(self._study, chunk.draw, variant, last_s))
 
 
 def _data_before_start_s(study: Study) -> np.ndarray:

@@ -20,10 +20,9 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.engine.batch import Calls, Plan, map_in_threads, target_devices
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads, target_devices
 from sinsjax.engine.duplicates import find_duplicates
-from sinsjax.engine.lanes import LANES, Group
+from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
@@ -33,7 +32,7 @@ from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
-_CACHED_PARTS = 3  # a part has its own increments; threads may work on two parts
+_CACHED_BATCHES = 3  # each has its own increments; threads may work on two programs
 
 
 class Job(NamedTuple):
@@ -96,9 +95,9 @@ class Task(NamedTuple):
 
     Attributes:
         name: name of its files, without extension.
-        part: number of the part, see `TaskRunner`.
-        draws: first draw of its group and the one after the last.
-        call: number of the call in the group's plan.
+        part: number of its program in the scenario.
+        draws: first draw of its batch and the one after the last.
+        call: number of the chunk of that batch.
         runs: number of runs.
         rows: names of the datasets that it writes and their rows, in that order.
     """
@@ -146,8 +145,6 @@ class EncodedResult(NamedTuple):
 class TaskRunner:
     """Thread-safe runner of a job's tasks.
 
-    Its parts are those of the study (`build`).
-
     Attributes:
         job: the job.
         identity: hash that identifies the job.
@@ -156,7 +153,7 @@ class TaskRunner:
     """
 
     def __init__(self, job: Job) -> None:
-        """Check a job by building its first part.
+        """Check a job by making its first batch.
 
         Raises:
             InputError: the record does not fit, or the study cannot be run.
@@ -165,23 +162,23 @@ class TaskRunner:
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._output = RunOutput(self.scenario)
         self.schemas = self._output.schemas
-        self._programs = self.scenario.statics
-        self._tiles_per_call = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
+        self._specs = self.scenario.specs
+        self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self.identity = job.identity
         self._lock = threading.Lock()
         first_duplicate = job.study.duplicate_of
         self._duplicates = [
-            find_duplicates(static, job.initial_draws, first_duplicate[ids])
-            for static, ids in zip(self._programs, self.scenario.variant_ids, strict=True)
+            find_duplicates(spec, job.initial_draws, first_duplicate[ids])
+            for spec, ids in zip(self._specs, self.scenario.variant_ids, strict=True)
         ]
-        self._cached_group = lru_cache(_CACHED_PARTS)(self._make_group)
-        self._cached_blank_group = lru_cache(1)(partial(self._make_group, blank=True))
-        self._cached_calls = lru_cache(_CACHED_PARTS)(self._compile_calls)
+        self._cached_batch = lru_cache(_CACHED_BATCHES)(self._make_batch)
+        self._cached_blank_batch = lru_cache(1)(partial(self._make_batch, blank=True))
+        self._cached_chunks = lru_cache(_CACHED_BATCHES)(self._compile_chunks)
         first_block = self._split_draws(self.stages[0])[0]
         if self.scenario.stored is None:
-            self._cached_blank_group(0, first_block)
+            self._cached_blank_batch(0, first_block)
         else:
-            self._cached_group(0, first_block)
+            self._cached_batch(0, first_block)
 
     @property
     def stages(self) -> list[range]:
@@ -191,14 +188,14 @@ class TaskRunner:
 
     def plan_tasks(self) -> list[list[Task]]:
         """Return the tasks of every stage."""
-        study, calls_before = self.job.study, [0] * len(self._programs)
+        study, chunks_before = self.job.study, [0] * len(self._specs)
         tasks_by_stage = []
         for stage in self.stages:
             tasks: list[Task] = []
-            for part, draws in product(range(len(self._programs)), self._split_draws(stage)):
-                part_tasks = self._plan_part(part, draws, calls_before[part])
-                calls_before[part] += len(part_tasks)
-                tasks += part_tasks
+            for program, draws in product(range(len(self._specs)), self._split_draws(stage)):
+                more = self._plan_program(program, draws, chunks_before[program])
+                chunks_before[program] += len(more)
+                tasks += more
             tasks_by_stage.append(tasks)
         assert (
             sum(t.runs for tasks in tasks_by_stage for t in tasks)
@@ -206,19 +203,18 @@ class TaskRunner:
         )
         return tasks_by_stage
 
-    def _plan_part(self, part: int, draws: range, calls_before: int) -> list[Task]:
-        """Return the tasks of some draws of a part, numbered from ``calls_before``."""
+    def _plan_program(self, part: int, draws: range, chunks_before: int) -> list[Task]:
+        """Return the tasks of some draws of a program, numbered from ``chunks_before``."""
         duplicates, ids = self._duplicates[part], self.scenario.variant_ids[part]
         variants = len(ids) if duplicates is None else len(duplicates.computed)
-        static, tasks = self._programs[part], []
-        plan = Plan(static, len(draws), variants, tiles_per_chunk=self._tiles_per_call)
-        for call in range(len(plan)):
-            runs = (
-                plan.count_runs(call) if duplicates is None else duplicates.count_runs(plan, call)
-            )
-            records = {name: static.records if name == "curves" else 1 for name in self.schemas}
+        spec, tasks = self._specs[part], []
+        layout = Layout(spec, len(draws), variants, tiles_per_chunk=self._tiles_per_chunk)
+        for call in range(len(layout)):
+            variant = layout.active(call).variant
+            runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
+            records = {name: spec.intervals if name == "curves" else 1 for name in self.schemas}
             rows = tuple((name, runs * rows_per_run) for name, rows_per_run in records.items())
-            name = f"part-{part:04d}-{calls_before + call:06d}"
+            name = f"part-{part:04d}-{chunks_before + call:06d}"
             tasks.append(Task(name, part, (draws.start, draws.stop), call, runs, rows))
         return tasks
 
@@ -232,9 +228,9 @@ class TaskRunner:
     def compute_tables(self, task: Task) -> TaskResult:
         """Compute the tables of one task."""
         with self._lock:  # otherwise every thread would compile
-            calls = self._cached_calls(task.part, range(*task.draws))
+            chunks = self._cached_chunks(task.part, range(*task.draws))
         start_s = time.perf_counter()
-        chunk = calls.chunk(task.call)
+        chunk = chunks.compute(task.call)
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
         tables = self._output.make_tables(chunk, self.scenario.variant_ids[task.part])
@@ -264,23 +260,21 @@ class TaskRunner:
             chunk["extended_at"] = before
         return {results.STUDY_METADATA: self.identity, results.CHUNK_METADATA: json.dumps(chunk)}
 
-    def _make_group(self, part_number: int, draws: range, *, blank: bool = False) -> Group:
-        duplicates = self._duplicates[part_number]
-        variants = None if duplicates is None else duplicates.computed
-        return self.scenario.part(part_number, draws, variants=variants, blank=blank).group
+    def _make_batch(self, program: int, draws: range, *, blank: bool = False) -> Batch:
+        duplicates = self._duplicates[program]
+        variants = slice(None) if duplicates is None else duplicates.computed
+        return self.scenario.batch(program, draws, variants=variants, blank=blank)
 
-    def _compile_calls(self, part: int, draws: range) -> Calls:
+    def _compile_chunks(self, program: int, draws: range) -> Chunks:
+        make = partial(Chunks, tiles_per_chunk=self._tiles_per_chunk)
         if self.scenario.stored is not None:
-            return self._make_calls(self._cached_group(part, draws))
-        blank_calls = self._make_calls(self._cached_blank_group(part, draws))
+            return make(self._cached_batch(program, draws))
+        blank = make(self._cached_blank_batch(program, draws))
         with ThreadPoolExecutor(1) as pool:
-            compiling = pool.submit(blank_calls.compile)
-            group = self._cached_group(part, draws)  # meanwhile, on another core
+            compiling = pool.submit(blank.compile)
+            batch = self._cached_batch(program, draws)  # meanwhile, on another core
             compiling.result()
-        return self._make_calls(group)
-
-    def _make_calls(self, group: Group) -> Calls:
-        return Calls(group, tiles_per_chunk=self._tiles_per_call)
+        return make(batch)
 
 
 class Executor(NamedTuple):

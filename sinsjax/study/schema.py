@@ -5,6 +5,7 @@ sections, so a key alone names an axis and a result column. Rules within one sec
 between sections in `rules`. The methods have sections of their own, see `methods.registry`.
 """
 
+from functools import cache
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
 import numpy as np
@@ -30,6 +31,7 @@ from sinsjax.value_types import (
     Count,
     CrossAxis,
     Damping,
+    Effect,
     Elevation,
     EventTimes,
     Factor,
@@ -53,6 +55,7 @@ from sinsjax.value_types import (
     Starts,
     Triad,
     Vector,
+    key_info,
     require_unique,
     rule_error,
 )
@@ -211,6 +214,11 @@ def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
 
+def acting(effect: Effect, low: float | int | None = None, high: float | int = 0) -> KeyInfo:
+    """Return the properties of a key that acts on base or sensors, with its usual range, if any."""
+    return KeyInfo(usual_range=None if low is None else (low, high), acts_as=effect)
+
+
 class MotionSection(Section):
     """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
@@ -309,13 +317,15 @@ class MotionSection(Section):
         " roll_deg and yaw_deg (or heading_deg), interpolated by cubic splines; smooth"
         " noisy data first. Cannot be swept; default: none",
     )
-    surge_m_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 100))] = Field(
+    surge_m_per_s: Annotated[NoisePerAxis, acting("process", 0, 100)] = Field(
         0.0,
         description="rms velocity of surge, random motion about a fixed place, along east,"
         " north, up, m/s",
     )
-    surge_time_s: Period = Field(5.0, description="correlation time of the surge velocity, s")
-    surge_bandwidth_hz: Bandwidth = Field(
+    surge_time_s: Annotated[Period, acting("process_shape")] = Field(
+        5.0, description="correlation time of the surge velocity, s"
+    )
+    surge_bandwidth_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
         1.0,
         description="surge bandwidth, which limits acceleration, Hz; only for 'third_order'",
     )
@@ -325,16 +335,21 @@ class MotionSection(Section):
         " 'gauss_markov': first-order Gauss-Markov velocity; acceleration grows with"
         " sample rate",
     )
-    vibration_ug_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
-        0.0, description="linear vibration of the sensors' housing along right, front, up, ug rms"
+    vibration_ug_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
+        0.0,
+        description="linear vibration of the sensors' housing along right, front, up, ug rms",
     )
-    vibration_deg_per_h_rms: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e8))] = Field(
+    vibration_deg_per_h_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
         0.0,
         description="angular vibration of the sensors' housing about right, front, up, deg/h rms."
         " The true attitude is that of the housing",
     )
-    vibration_hz: Bandwidth = Field(30.0, description="undamped natural frequency of vibration, Hz")
-    vibration_damping: Damping = Field(0.05, description="damping ratio of vibration")
+    vibration_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
+        30.0, description="undamped natural frequency of vibration, Hz"
+    )
+    vibration_damping: Annotated[Damping, acting("process_shape")] = Field(
+        0.05, description="damping ratio of vibration"
+    )
 
 
 class SensorsSection(Section):
@@ -345,80 +360,80 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[Vector, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
+    gyro_bias_deg_per_h: Annotated[Vector, acting("bias", -1e5, 1e5)] = Field(
         0.0, description="constant bias, measured minus true, deg/h"
     )
-    gyro_noise_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] | None = Field(
+    gyro_noise_deg_per_h: Annotated[NoisePerAxis, acting("noise", 0, 1e6)] | None = Field(
         None,
         description="white noise sigma of one sample, deg/h; alternative to the random walk;"
         " default: no noise",
     )
     gyro_arw_deg_per_sqrt_h: Annotated[
         Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
-        KeyInfo(alternative_to="gyro_noise_deg_per_h"),
+        KeyInfo(acts_as="noise", alternative_to="gyro_noise_deg_per_h"),
     ] = Field(
         None,
         description="angle or velocity random walk, deg/sqrt(h); alternative to the noise",
     )
-    gyro_instability_deg_per_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
+    gyro_instability_deg_per_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
         0.0,
         description="rms bias instability, first-order Gauss-Markov, deg/h; its Allan deviation is"
         " at most 0.617 of it",
     )
-    gyro_instability_time_s: Period = Field(
+    gyro_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
         300.0, description="correlation time of the bias instability, s"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
+    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
         0.0, description="rate or acceleration random walk, zero at the first sample, deg/h/sqrt(h)"
     )
-    gyro_quantisation_arcsec: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] = Field(
+    gyro_quantisation_arcsec: Annotated[NoisePerAxis, acting("quantum", 0, 1e4)] = Field(
         0.0,
         description="resolution of angle or velocity output, arcsec; remainders carry over to the"
         " next sample",
     )
-    gyro_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
+    gyro_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
         0.0, description="scale factor error, ppm"
     )
-    gyro_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
+    gyro_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
         0.0,
         description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
         " input that sensor x senses",
     )
-    accel_bias_ug: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
+    accel_bias_ug: Annotated[Vector, acting("bias", -1e6, 1e6)] = Field(
         0.0, description="constant bias, measured minus true, ug"
     )
-    accel_noise_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None = Field(
+    accel_noise_ug: Annotated[NoisePerAxis, acting("noise", 0, 1e7)] | None = Field(
         None,
         description="white noise sigma of one sample, ug; alternative to the random walk; default:"
         " no noise",
     )
     accel_vrw_ug_per_sqrt_hz: Annotated[
         Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
-        KeyInfo(alternative_to="accel_noise_ug"),
+        KeyInfo(acts_as="noise", alternative_to="accel_noise_ug"),
     ] = Field(
         None,
         description="angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
     )
-    accel_instability_ug: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
+    accel_instability_ug: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
         0.0,
         description="rms bias instability, first-order Gauss-Markov, ug; its Allan deviation is at"
         " most 0.617 of it",
     )
-    accel_instability_time_s: Period = Field(
+    accel_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
         300.0, description="correlation time of the bias instability, s"
     )
-    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
+    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
         0.0, description="rate or acceleration random walk, zero at the first sample, ug/sqrt(h)"
     )
-    accel_quantisation_um_per_s: Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e6))] = Field(
+    accel_quantisation_um_per_s: Annotated[NoisePerAxis, acting("quantum", 0, 1e6)] = Field(
         0.0,
         description="resolution of angle or velocity output, um/s; remainders carry over to the"
         " next sample",
     )
-    accel_scale_ppm: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] = Field(
+    accel_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
         0.0, description="scale factor error, ppm"
     )
-    accel_misalignment_arcsec: Annotated[CrossAxis, KeyInfo(usual_range=(-1e5, 1e5))] = Field(
+    accel_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
         0.0,
         description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
         " input that sensor x senses",
@@ -602,7 +617,15 @@ class RecordSection(Section):
 INITIAL_NUMBERS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")
 """Keys of [alignment] that may be drawn, in a recorded study the only ones."""
 
-BIAS_KEYS = ("gyro_bias_deg_per_h", "accel_bias_ug")
+
+@cache
+def keys_acting_as(*effects: Effect) -> tuple[str, ...]:
+    """Return the keys of [motion] and [sensors] with some effects, see `KeyInfo.acts_as`."""
+    fields = (MotionSection.model_fields | SensorsSection.model_fields).items()
+    return tuple(key for key, field in fields if key_info(field).acts_as in effects)
+
+
+BIAS_KEYS = keys_acting_as("bias")
 """Keys of the constant sensor biases."""
 
 

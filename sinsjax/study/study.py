@@ -53,6 +53,7 @@ from sinsjax.study.schema import (
     StopWhenSection,
     StudySection,
     TuneSection,
+    keys_acting_as,
 )
 from sinsjax.study.sweep import sweep_dimensions
 from sinsjax.value_types import ROUNDING
@@ -67,12 +68,7 @@ _USER_NAMES = (
 COARSE_START = ("coarse_method", "coarse_then")
 """Keys that determine whether a run starts with coarse alignment."""
 
-SEQUENTIAL_KEYS = (
-    *("surge_m_per_s", "vibration_ug_rms", "vibration_deg_per_h_rms"),
-    *("gyro_instability_deg_per_h", "accel_instability_ug"),
-    *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
-    *("gyro_quantisation_arcsec", "accel_quantisation_um_per_s"),
-)
+SEQUENTIAL_KEYS = keys_acting_as("process", "quantum")
 """Keys of disturbances whose samples depend on earlier samples."""
 
 

@@ -15,12 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.engine import batch
-from sinsjax.engine.batch import Plan
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.environment import Environment
-from sinsjax.engine.lanes import LANES, Group, Tiles, tiles_of
+from sinsjax.engine.batch import LANES, Batch, Layout, map_in_threads
+from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
 from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
@@ -224,19 +222,19 @@ class _Lane(NamedTuple):
 
 
 class _Program(NamedTuple):
-    """Runs of all descents that share a program, the plan of its calls, and the program.
+    """Runs of all descents that share a program, and the program.
 
     Attributes:
-        group: of the runs, with variants for each descent.
+        batch: of the runs, with variants for each descent.
         params: points of all descents -> params of their variants, and derivatives.
-        plan: of its calls.
+        layout: of the runs in chunks.
         jitted: the program.
         active: numbers of the leaves of the params that depend on the variables.
     """
 
-    group: Group
+    batch: Batch
     params: Callable[[NDArray], tuple[Any, Any]]
-    plan: Plan
+    layout: Layout
     jitted: Any
     active: tuple[int, ...]
 
@@ -275,13 +273,11 @@ class Slope:
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         scenario = Scenario(derived, stored, curves=False)
-        parts = [
-            (scenario.part(number).group, scenario.keys(number))
-            for number in range(len(scenario.statics))
-        ]
-        self.n_draws = len(parts[0][0].draws.draw_id)
+        numbers = range(len(scenario.specs))
+        batches = [scenario.batch(number) for number in numbers]
+        self.n_draws = batches[0].n_draws
         self.draws = min(draws, self.n_draws)
-        self._programs = [self._program(*part) for part in parts]
+        self._programs = list(map(self._program, batches, map(scenario.keys, numbers)))
         self._draw_cost = search.total_steps(derived) / derived.n_draws
 
     @property
@@ -315,14 +311,14 @@ class Slope:
             for program in self._programs
         ]
 
-    def _program(self, group: Group, keys: Variants) -> _Program:
-        """Return the program of a group with lanes for each descent and variant."""
-        lanes_of = jax.tree.map(
-            lambda a: np.concatenate([np.asarray(a)] * self._starts), group.variants
+    def _program(self, batch: Batch, keys: Variants) -> _Program:
+        """Return the program of a batch with lanes for each descent and variant."""
+        of_starts = jax.tree.map(
+            lambda a: np.concatenate([np.asarray(a)] * self._starts), batch.params
         )
-        variants = self._starts * group.sizes[1]
-        group = group._replace(variants=lanes_of)
-        params = self._parameters.differentiate(group.static.method, keys)
+        batch = batch._replace(params=of_starts)
+        variants = batch.n_variants
+        params = self._parameters.differentiate(batch.spec.method, keys)
         middle = np.full((self._starts, len(self._parameters.variables)), 0.5)
         _, slopes = params(middle)
         active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
@@ -330,31 +326,29 @@ class Slope:
         # Few runs need fewer lanes; a call has at least two blocks for each device.
         lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
-        plan = Plan(group.static, self.draws, variants, tiles_per_chunk=tiles, lanes=lanes)
-        jitted = jax.jit(partial(self._differentiate, group))
-        return _Program(group, params, plan, jitted, (*active,))
+        layout = Layout(batch.spec, self.draws, variants, tiles_per_chunk=tiles, lanes=lanes)
+        jitted = jax.jit(partial(self._differentiate, batch.spec))
+        return _Program(batch, params, layout, jitted, (*active,))
 
     def _run(
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        group, plan, jitted = program.group, program.plan, program.jitted
+        jitted, variants = program.jitted, program.batch.n_variants
         arguments = self._arguments(program, box, draws, softness)
         jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = list(
-            batch.map_in_threads(
+            map_in_threads(
                 lambda call: jax.device_get(jitted(*call)), arguments, len(jax.devices())
             )
         )
-        _, variants = group.sizes
         p, n = box.shape[1], calls[0][0].shape[-1]  # n values per run
         out = np.empty((len(draws) * variants, n, 1 + p))
-        for places, (value, slope) in zip(plan, calls, strict=True):
-            draw, variant = places.draw.ravel(), places.variant.ravel()
-            active = np.flatnonzero((draw < len(draws)) & (variant < variants))
-            rows = draw[active] * variants + variant[active]
-            out[rows, :, 0] = value.reshape(-1, n)[active]
-            out[rows, :, 1:] = np.moveaxis(slope, -3, -1).reshape(-1, n, p)[active]
+        for number, (value, slope) in enumerate(calls):
+            runs = program.layout.active(number)
+            rows = runs.draw * variants + runs.variant
+            out[rows, :, 0] = value.reshape(-1, n)[runs.lane]
+            out[rows, :, 1:] = np.moveaxis(slope, -3, -1).reshape(-1, n, p)[runs.lane]
         shape = (len(draws), self._starts, variants // self._starts, n, 1 + p)
         out = np.moveaxis(out.reshape(shape), 0, 2)
         out = out.reshape(*out.shape[:2], len(draws) * n, 1 + p)
@@ -364,26 +358,24 @@ class Slope:
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
     ) -> list[tuple]:
         """Return the arguments of every call of a program."""
-        group = program.group
+        batch = program.batch.select_draws(draws)
         params, slopes = program.params(box)
         width = None
         if self._parameters.moves_resets:
-            width = np.full(len(group.variants.ve), softness.window_s * self._rate_hz)
+            width = np.full(batch.n_variants, softness.window_s * self._rate_hz)
         leaves = jax.tree.leaves(slopes)
         lane = _Lane(params, {i: leaves[i] for i in program.active}, width)
-        group = group._replace(variants=group.variants._replace(method=lane))
-        chosen = jax.tree.map(lambda a: a[draws] if np.ndim(a) else a, group.draws)
-        group = group._replace(draws=chosen, q=group.q[draws])
+        batch = batch._replace(params=batch.params._replace(method=lane))
         # What is only reported has no part in the objective, nor in its derivatives.
-        environment = group.environment
+        environment, layout = batch.environment, program.layout
         soft = environment.criteria._replace(
             sharpness=np.float64(softness.sharpness), report_samples=None
         )
         environment = environment._replace(criteria=soft)
-        return [(environment, tiles_of(group, lanes)) for lanes in program.plan]
+        return [(environment, layout.tiles_of(batch, call)) for call in range(len(layout))]
 
     def _differentiate(
-        self, group: Group, environment: Environment, tiles: Tiles
+        self, spec: ProgramSpec, environment: Environment, tiles: Tiles
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
 
@@ -393,7 +385,7 @@ class Slope:
             method = structure.unflatten(active.get(i, leaf) for i, leaf in enumerate(leaves))
             method = method if lane.width is None else smooth_resets(method, lane.width)
             lanes = tile._replace(params=tile.params._replace(method=method))
-            outcome, _ = run_tile(group.static, environment, lanes)
+            outcome, _ = run_tile(spec, environment, lanes)
             return objective.relaxed_values(
                 self._tune, environment.criteria, outcome, truth=self._from_truth
             )
@@ -405,7 +397,7 @@ class Slope:
             active = {i: leaves[i] for i in directions}
             return sensitivities(partial(tile_values, tile), active, directions)
 
-        return jax.lax.map(map_stacked_tiles(group.static, differentiate_tile, tiles), tiles)
+        return jax.lax.map(map_stacked_tiles(spec, differentiate_tile, tiles), tiles)
 
 
 def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:

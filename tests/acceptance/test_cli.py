@@ -13,9 +13,10 @@ from support.commands import Command, command_line
 from support.studies import BASE, small_study, swing_deg, with_paper_values
 from support.sweep_directories import read_files_and_times
 
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.records import (
+    Record,
     write_psins,
 )
 
@@ -61,8 +62,8 @@ RECORDED: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def record() -> build.Record:
-    return build.simulated_record(small_study())
+def record() -> Record:
+    return simulated_record(small_study())
 
 
 def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_path: Path) -> None:
@@ -147,7 +148,7 @@ def test_page_names_study_file_and_set_overrides(
 
 @pytest.mark.nightly
 def test_align_with_reference_reports_true_misalignment(
-    sinsjax: Command, tmp_path: Path, record: build.Record
+    sinsjax: Command, tmp_path: Path, record: Record
 ) -> None:
     """The reference is the true attitude of the simulated swing, so phi is the true error."""
     write_psins(record, tmp_path / "swing.imu")
@@ -186,7 +187,7 @@ SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
 
 @pytest.mark.parametrize("name", SPOILT)
 def test_corrupt_record_is_refused_in_one_line(
-    sinsjax: Command, tmp_path: Path, record: build.Record, name: str
+    sinsjax: Command, tmp_path: Path, record: Record, name: str
 ) -> None:
     change, named = SPOILT[name]
     path = tmp_path / "swing.imu"
@@ -198,7 +199,7 @@ def test_corrupt_record_is_refused_in_one_line(
 
 
 def test_missing_file_or_wrong_command_is_refused_in_one_line(
-    sinsjax: Command, tmp_path: Path, record: build.Record
+    sinsjax: Command, tmp_path: Path, record: Record
 ) -> None:
     out = tmp_path / "out"
     config = write_study(tmp_path)

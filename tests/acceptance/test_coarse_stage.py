@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.execution import rerun, run
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.study.load import study_from_dict, study_to_toml
@@ -163,7 +163,7 @@ def test_rerun_with_coarse_stage_is_identical(tmp_path: Path) -> None:
 def test_replayed_record_matches_its_simulation() -> None:
     """It begins at its start time with unknown attitude; t = 0 at its own hand-over."""
     silent = {"gyro_noise_deg_per_h": 0.0}
-    stored = add_true_reference(build.simulated_record(study(sensors=silent)))
+    stored = add_true_reference(simulated_record(study(sensors=silent)))
     settings: dict[str, Any] = {"duration_s": 4.0, "window_s": [2, 4], "curves": True}
     settings["settle_bands_arcmin"] = [9000]  # in a few seconds a run gets no nearer
 

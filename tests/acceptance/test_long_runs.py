@@ -6,12 +6,13 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from support.batches import batch_of
 from support.studies import small_study
 
-from sinsjax.engine import batch, build, samples, truth
-from sinsjax.engine import lanes as lane_layout
-from sinsjax.engine.environment import aligned_record
+from sinsjax.engine import samples, scenario
+from sinsjax.engine.inputs import aligned_record
 from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.execution import run
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
@@ -23,7 +24,7 @@ MOST_BYTES = 60e6
 
 @pytest.fixture
 def without_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(truth, "MOST_STORED_SAMPLES", 0)
+    monkeypatch.setattr(scenario, "MOST_STORED_SAMPLES", 0)
     monkeypatch.setattr(samples, "SAMPLES_PER_CALL", 30)
 
 
@@ -48,18 +49,18 @@ def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
         study={"duration_s": DAY_S, "draws": 1},
         alignment={"specific_force": specific_force},
     )
-    (part,) = build.parts(study, curves=True)
-    static, shown = part.group.static, lane_layout.curve_lanes(part.group)
-    tiles = lane_layout.tiles_of(part.group, batch.plan(part.group)[0])
-    assert shown == 1 and static.records == DAY_S
+    part = batch_of(study, curves=True)
+    spec, layout = part.spec, part.lay_out()
+    shown, tiles = layout.curve_lanes, layout.tiles_of(part, 0)
+    assert shown == 1 and spec.intervals == DAY_S
 
     def program(environment: Any, tiles: Any) -> Any:
         def one(tiles: Any) -> Any:
-            return run_tile(static, environment, tiles, shown)
+            return run_tile(spec, environment, tiles, shown)
 
-        return jax.lax.map(map_stacked_tiles(static, one, tiles), tiles)
+        return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
 
-    traced = jax.make_jaxpr(program)(part.group.environment, tiles)
+    traced = jax.make_jaxpr(program)(part.environment, tiles)
     size, what = max(arrays(traced.jaxpr))
     assert 6e6 < size < MOST_BYTES, what
 
@@ -75,8 +76,8 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
     """Equal to rounding, forward and backward: the formulas are the same, the loop differs."""
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_records")
-    (part,) = build.parts(PASSES)
-    assert part.group.environment.sensors.increments is None
+    part = batch_of(PASSES)
+    assert part.environment.sensors.increments is None
     pieces = run.run(PASSES).curves
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
@@ -84,20 +85,17 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
 
 
 def test_simulated_record_is_same_without_stored_increments(request: pytest.FixtureRequest) -> None:
-    whole = build.simulated_record(PASSES, draw_id=1)
+    whole = simulated_record(PASSES, draw_id=1)
     request.getfixturevalue("without_records")
-    again = build.simulated_record(PASSES, draw_id=1)
+    again = simulated_record(PASSES, draw_id=1)
     np.testing.assert_allclose(again.dtheta, whole.dtheta, rtol=0, atol=1e-16)
     np.testing.assert_allclose(again.dv, whole.dv, rtol=0, atol=1e-13)
 
 
-def test_curves_of_idle_lanes_are_not_requested() -> None:
-    (part,) = build.parts(small_study(study={"draws": 3}), curves=True)
-    assert lane_layout.curve_lanes(part.group) == 3
-    silent = part.group._replace(static=part.group.static._replace(curves=False))
-    assert lane_layout.curve_lanes(silent) is None
-    (part,) = build.parts(small_study(study={"draws": 64}), curves=True)
-    assert lane_layout.curve_lanes(part.group) is None
+@pytest.mark.parametrize(("draws", "shown"), [(3, 3), (64, None)])
+def test_curves_of_idle_lanes_are_not_requested(draws: int, shown: int | None) -> None:
+    part = batch_of(small_study(study={"draws": draws}), curves=True)
+    assert part.lay_out().curve_lanes == shown
 
 
 @pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])

@@ -10,17 +10,16 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 from support.alone import run_alone
+from support.batches import batch_of, batches_of, run_chunks
 from support.studies import with_paper_values
 
-from sinsjax.engine import batch, build
-from sinsjax.engine.environment import Draw
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.tables import TableBuilder
-from sinsjax.records import Reference
+from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
-from sinsjax.types import Quat
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -215,16 +214,15 @@ def test_backward_pass_undoes_noise_of_forward_pass() -> None:
 )
 def test_batched_runs_with_passes_match_single_runs(tables: dict[str, Any]) -> None:
     """Tiles of runs, and filters that share P, reverse as a single run does."""
-    (part,) = build.parts(study_from_dict(merged({"passes": {"stored_s": 3.0}}, tables)))
-    group = part.group
-    pieces = [(c.outcome, c.curves) for c in batch.run_chunks(group)]
+    group = batch_of(study_from_dict(merged({"passes": {"stored_s": 3.0}}, tables)))
+    pieces = [(c.outcome, c.curves) for c in run_chunks(group)]
     many = jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
-    alone = jax.jit(lambda draw, params: run_alone(group.static, group.environment, draw, params))
+    alone = jax.jit(lambda draw, params: run_alone(group.spec, group.environment, draw, params))
     for run_id in range(4):
         draw, variant = divmod(run_id, 2)
-        params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.variants)
-        params = params._replace(q=Quat(*group.q[draw]))
-        one = alone(Draw(group.draws.draw_id[draw], np.asarray(0), np.asarray(0)), params)
+        params = jax.tree.map(lambda a, v=variant: np.asarray(a)[v], group.params)
+        drawn = jax.tree.map(lambda a, d=draw: a[d] if np.ndim(a) else a, group.draws)
+        one = alone(drawn, params)
         for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(many), strict=True):
             np.testing.assert_allclose(a, b[run_id], rtol=1e-9, atol=1e-9)
 
@@ -257,8 +255,8 @@ def test_error_free_run_keeps_true_attitude_over_every_pass(method: str, directi
 @pytest.mark.nightly
 def test_simulated_record_is_one_pass_long() -> None:
     study = study_from_dict(merged({"passes": {"stored_s": 3.0}}))
-    record = build.simulated_record(study)
-    whole = build.simulated_record(study_from_dict(merged()))
+    record = simulated_record(study)
+    whole = simulated_record(study_from_dict(merged()))
     assert len(record.dtheta) == 150 and len(whole.dtheta) == 400
     np.testing.assert_array_equal(record.dtheta, whole.dtheta[:150])
     np.testing.assert_array_equal(record.dv, whole.dv[:150])
@@ -344,10 +342,10 @@ SWING = {"pitch_amplitude_deg": 4.0, "pitch_period_s": 7.0, "yaw_center_deg": 10
 
 
 @cache
-def record() -> build.Record:
+def record() -> Record:
     settings = {"duration_s": RECORD_S, "rate_hz": 50.0, "draws": 1}
     study = {"study": settings, "earth": {"latitude_deg": 32.0}, "motion": SWING}
-    return build.simulated_record(study_from_dict(with_paper_values(study)))
+    return simulated_record(study_from_dict(with_paper_values(study)))
 
 
 def reference(end_s: float) -> Reference:
@@ -369,8 +367,7 @@ def recorded(**passes: Any) -> dict[str, Any]:
 
 def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
     study = study_from_dict(recorded(stored_s=6.0))
-    (part,) = build.parts(study, StoredRecord(record(), reference(RECORD_S)))
-    group = part.group
+    group = batch_of(study, StoredRecord(record(), reference(RECORD_S)))
     w, x, y, z = np.moveaxis(np.asarray(group.environment.truth.attitudes)[group.draws.row], -1, 0)
     stored = np.array([1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0])
     t = np.array([[0.0], [4.0]]) + 6.0 + stored
@@ -395,12 +392,12 @@ def test_pass_longer_than_record_is_refused() -> None:
     """The record, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
     study = study_from_dict(recorded(stored_s=11.0))
     with pytest.raises(InputError) as caught:
-        list(build.parts(study, StoredRecord(record(), None)))
+        (batches_of(study, StoredRecord(record(), None)))
     line = "has 20 s, but 17 s from start_s = 4 need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
-    (part,) = build.parts(study_from_dict(recorded(stored_s=6.0)), StoredRecord(record(), None))
+    part = batch_of(study_from_dict(recorded(stored_s=6.0)), StoredRecord(record(), None))
     assert (
-        len(part.group.environment.sensors.increments) == 800
+        len(part.environment.sensors.increments) == 800
     )  # of the 1000 of the record, what is read
 
 
@@ -408,14 +405,12 @@ def test_only_needed_part_of_record_is_loaded() -> None:
     """Run that begin at 10 s of the record begin where their fine alignment does on the record."""
     data = recorded(stored_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
-    (part,) = build.parts(study_from_dict(data), StoredRecord(record(), None))
+    part = batch_of(study_from_dict(data), StoredRecord(record(), None))
     np.testing.assert_array_equal(
-        part.group.environment.sensors.increments[:, :3], record().dtheta[200:800]
+        part.environment.sensors.increments[:, :3], record().dtheta[200:800]
     )
-    np.testing.assert_array_equal(
-        part.group.environment.sensors.increments[:, 3:], record().dv[200:800]
-    )
-    np.testing.assert_array_equal(part.group.draws.start, [300])
+    np.testing.assert_array_equal(part.environment.sensors.increments[:, 3:], record().dv[200:800])
+    np.testing.assert_array_equal(part.draws.start, [300])
 
 
 @pytest.mark.parametrize("passes", [1, 2])
@@ -423,4 +418,4 @@ def test_reference_must_cover_whole_stored_record(passes: int) -> None:
     """With two passes a run ends at the beginning of its record, which the reference covers."""
     study = study_from_dict(recorded(stored_s=6.0, passes=passes))
     with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
-        list(build.parts(study, StoredRecord(record(), reference(13.0))))
+        (batches_of(study, StoredRecord(record(), reference(13.0))))

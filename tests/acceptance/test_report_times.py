@@ -12,15 +12,15 @@ import pyarrow as pa
 import pytest
 from rich.console import Console
 from support.alone import run_alone
+from support.batches import batch_of, run_chunks
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
-from sinsjax.engine import batch, build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.types import Quat
 from sinsjax.units import ARCMIN
 
 pytestmark = pytest.mark.optimised(False)
@@ -102,12 +102,11 @@ def test_report_times_leave_optimised_filter_results_bit_identical(method: str) 
 
 @pytest.mark.nightly
 def test_single_run_matches_batch_at_report_times() -> None:
-    (part,) = build.parts(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
-    group = part.group
+    group = batch_of(small_study(study={"report_times_s": [2.0, 6.0], "draws": 1}))
     draw = jax.tree.map(lambda a: a[0] if np.ndim(a) else a, group.draws)
-    params = jax.tree.map(lambda a: a[0], group.variants)._replace(q=Quat(*group.q[0]))
-    one, _ = jax.jit(run_alone, static_argnums=0)(group.static, group.environment, draw, params)
-    (chunk,) = batch.run_chunks(group)
+    params = jax.tree.map(lambda a: a[0], group.params)
+    one, _ = jax.jit(run_alone, static_argnums=0)(group.spec, group.environment, draw, params)
+    (chunk,) = run_chunks(group)
     np.testing.assert_allclose(one.at_times, chunk.outcome.at_times[0], rtol=1e-9)
     assert abs(one.at_times[1, 0] - one.last.phi.z) == 0
 
@@ -118,8 +117,8 @@ def test_report_times_enter_study_toml_and_fingerprint_only_if_given() -> None:
     assert len({fingerprint(plain), fingerprint(reported)}) == 2
     assert study_from_dict(tomllib.loads(study_to_toml(reported))) == reported
     assert forecast.forecast_sweep(reported).run_bytes > forecast.forecast_sweep(plain).run_bytes
-    (part,) = build.parts(plain)
-    assert part.group.environment.criteria.report_samples is None
+    part = batch_of(plain)
+    assert part.environment.criteria.report_samples is None
 
 
 @pytest.mark.nightly
@@ -137,7 +136,7 @@ def test_rerun_with_report_times_is_identical(tmp_path: Path) -> None:
 def record() -> StoredRecord:
     """Return six seconds of the swaying vehicle, with its true attitude."""
     simulated = small_study(sensors={"gyro_noise_deg_per_h": 0.0})
-    return add_true_reference(build.simulated_record(simulated))
+    return add_true_reference(simulated_record(simulated))
 
 
 def recorded(times: list[float], coarse: dict[str, Any], **tables: Any) -> dict[str, Any]:

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.batches import batch_of
 from support.studies import small_study
 
-from sinsjax.engine import build
 from sinsjax.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -140,14 +140,15 @@ def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
 @pytest.fixture(scope="module")
 def small_group():
     axes = {"phi_u0_deg": [0.0, 10.0, 20.0, 30.0]}
-    (part,) = build.parts(small_study(axes=axes, study={"draws": 64, "duration_s": 20.0}))
-    return part.group
+    part = batch_of(small_study(axes=axes, study={"draws": 64, "duration_s": 20.0}))
+    return part
 
 
 @pytest.fixture
 def quick_program(monkeypatch):
     """A program that returns at once in place of the engine's."""
-    monkeypatch.setattr(cases, "compile_program", lambda group, tiles: lambda *_: np.zeros(1))
+    program = SimpleNamespace(compiled=lambda: lambda *_: np.zeros(1))
+    monkeypatch.setattr(cases, "trace_program", lambda group, layout: program)
 
 
 @pytest.mark.usefixtures("quick_program")
@@ -168,7 +169,7 @@ def test_engine_is_timed_on_whole_tiles(small_group, monkeypatch, devices, elaps
 
 @pytest.mark.usefixtures("quick_program")
 def test_idle_lanes_are_not_counted_as_runs(small_group):
-    few = cases.shorten_runs(small_group.select(np.arange(3), np.arange(4)), 2)
+    few = cases.shorten_runs(small_group.select_draws(np.arange(3)), 2)
     assert cases.engine_workload("x", few, tiles=4, lanes=16).runs == 3 * 4 < 64
 
 

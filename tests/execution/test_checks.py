@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.stored_results import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import describe_process_noise, study_warnings
@@ -41,7 +41,7 @@ BASES = {"still": STILL, "swinging": {}, "swinging by 20 deg": LARGE}
 def record(base: str = "swinging") -> Record:
     """Return a record of 200 s at 32 N with 0.1 deg/h and 500 ug."""
     settings = {"duration_s": 200.0, "window_s": [0, 200]}
-    return build.simulated_record(small_study(study=settings, motion=BASES[base]))
+    return simulated_record(small_study(study=settings, motion=BASES[base]))
 
 
 def found(
@@ -202,7 +202,7 @@ def test_merged_samples_give_same_findings_as_single_samples(
 def test_attitudes_match_scipy_rotation_product() -> None:
     """A swing of 20 deg over 60 s, without the coning terms: 1e-6."""
     settings = {"duration_s": 60.0, "window_s": [0, 60]}
-    dtheta = build.simulated_record(small_study(study=settings, motion=LARGE)).dtheta
+    dtheta = simulated_record(small_study(study=settings, motion=LARGE)).dtheta
     whole = Rotation.identity()
     for step in Rotation.from_rotvec(dtheta):
         whole = whole * step
@@ -272,7 +272,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     """Times are those of the record: 200 samples a record are 1.001 s."""
     rate = 199.8
     settings = {"duration_s": 25.1, "rate_hz": rate, "window_s": [0, 25]}
-    some = build.simulated_record(
+    some = simulated_record(
         small_study(
             study=settings | {"record_interval_s": 1000 / rate},
             alignment={"feedback_interval_s": 1000 / rate},

@@ -9,7 +9,7 @@ from support.memory import limit_memory_mb
 from support.stored_results import write_manifest
 from support.studies import small_study
 
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
@@ -128,4 +128,4 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
 )
 def test_forecast_program_count_matches_engine(tables: Any, programs: int):
     study = small_study(**tables)
-    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).statics))
+    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).specs))

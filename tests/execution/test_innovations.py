@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from support.studies import small_study, with_paper_values
 
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import TableBuilder
@@ -40,7 +40,7 @@ def recorded(cases: list[dict[str, Any]] | None = None, **changes: Any) -> Study
 
 @pytest.fixture(scope="module")
 def stored() -> StoredRecord:
-    return StoredRecord(build.simulated_record(small_study()), None)
+    return StoredRecord(simulated_record(small_study()), None)
 
 
 KEYS = ("p0_velocity_m_per_s", "p0_level_deg", "p0_yaw_deg", "q_accel_ug", "q_gyro_deg_per_h")

@@ -14,7 +14,7 @@ from support.studies import PAPER, small_study
 from support.synthetic_tables import synthetic_summary
 
 import sinsjax
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.records import write_psins
@@ -75,7 +75,7 @@ def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
         },
         "swing",
     )
-    write_psins(build.simulated_record(small_study()), tmp_path / "log.imu")
+    write_psins(simulated_record(small_study()), tmp_path / "log.imu")
     (tmp_path / "swing.toml").write_text(study_to_toml(study))
     return tmp_path / "log.imu", tmp_path / "swing.toml", study
 
@@ -140,7 +140,7 @@ def test_command_and_python_refuse_alike(
 def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
     out = tmp_path / "out"
     wrong = small_study()
-    stored = StoredRecord(build.simulated_record(wrong), None)
+    stored = StoredRecord(simulated_record(wrong), None)
     with pytest.raises(InputError, match=r"has no \[record\] section"):
         prepare_job(wrong, record=stored, options=RunOptions(out))
     job = prepare_job(wrong, options=RunOptions(out))

@@ -29,7 +29,7 @@ from support.sweep_directories import (
     sweep_study,
 )
 
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, store, tables
 from sinsjax.execution import run as study_run
@@ -395,7 +395,7 @@ def recorded() -> tuple[Study, StoredRecord]:
     )
     time_s = np.arange(0, 6.01, 0.01)
     reference = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
-    return study, StoredRecord(build.simulated_record(small_study()), reference)
+    return study, StoredRecord(simulated_record(small_study()), reference)
 
 
 @pytest.mark.nightly

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from support.batches import batch_of
 from support.chunks import chunk
 from support.stored_results import store_results, write_manifest, write_part
 from support.studies import BASE, STILL, small_study, with_paper_values
@@ -15,7 +16,7 @@ from support.sweep_directories import read_files_and_times
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax import columns
-from sinsjax.engine import build
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import results, run, tables
 from sinsjax.execution.directory import read_manifest
@@ -180,8 +181,8 @@ def test_settling_bands_always_include_status_band() -> None:
     study = small_study(study={"settle_bands_arcmin": [30.0]})
     names = [c.name for c in tables.TableBuilder(study).summary_columns]
     assert {"settle_30_s", "settle_10_s"} <= set(names)
-    (part,) = build.parts(study)
-    np.testing.assert_allclose(part.group.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
+    part = batch_of(study)
+    np.testing.assert_allclose(part.environment.criteria.bands, np.array([30, 10]) * ARCMIN)
 
 
 def test_drawn_keys_become_summary_columns() -> None:
@@ -215,7 +216,7 @@ def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) ->
             lambda: run.run_into(study, tmp_path / "out", overwrite=True),
             lambda: run.run_into(study, tmp_path / "out", resume=True),
             lambda: run.run(study),
-            lambda: build.simulated_record(study),
+            lambda: simulated_record(study),
         ):
             with pytest.raises(InputError, match="double precision"):
                 call()

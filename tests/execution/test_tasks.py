@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from support.studies import PAPER, small_study
 from support.sweep_directories import STUDIES, make_study, read_parts
 
-from sinsjax.engine import build
-from sinsjax.engine.build import Scenario
-from sinsjax.engine.lanes import LANES
+from sinsjax.engine.batch import LANES
+from sinsjax.engine.scenario import Scenario
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.outputs import RunOutput
@@ -132,7 +132,7 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
             "filter": PAPER,
         }
     )
-    record = build.simulated_record(small_study())
+    record = simulated_record(small_study())
     time_s = np.arange(0, 6.01, 0.01)
     level = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
     tilted = level._replace(attitude_deg=level.attitude_deg + 1e-12)
@@ -162,9 +162,9 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
     def slow(self: TaskRunner, part: int, draws: range) -> Any:
         made.append(part)
         time.sleep(0.02)  # in which other threads could begin
-        return SimpleNamespace(chunk=lambda call: None)
+        return SimpleNamespace(compute=lambda call: None)
 
-    monkeypatch.setattr(TaskRunner, "_compile_calls", slow)
+    monkeypatch.setattr(TaskRunner, "_compile_chunks", slow)
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     rows = {"summary": pa.table({"status": ["ok"]})}
     monkeypatch.setattr(runner._output, "make_tables", lambda chunk, variant_ids: rows)
@@ -186,4 +186,4 @@ def test_failures_count_diverged_and_nonfinite_runs() -> None:
 
 def test_record_for_simulated_study_is_refused() -> None:
     with pytest.raises(InputError, match="reads no record"):
-        TaskRunner(Job(small_study(), StoredRecord(build.simulated_record(small_study()), None)))
+        TaskRunner(Job(small_study(), StoredRecord(simulated_record(small_study()), None)))

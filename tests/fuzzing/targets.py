@@ -15,7 +15,7 @@ from support.memory import process_bytes
 import sinsjax
 from fuzzing import manifests, records, studies
 from fuzzing.edits import HiddenValue
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, prepare, resume
 from sinsjax.execution.directory import read_manifest

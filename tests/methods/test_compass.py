@@ -38,7 +38,7 @@ from oracles.naive import (
 )
 from scipy import linalg
 
-from sinsjax.engine.run import Static
+from sinsjax.engine.inputs import ProgramSpec
 from sinsjax.methods import compass_design as design
 from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
@@ -99,7 +99,7 @@ def test_at_pace_scales_sigma(sigma, damping, pace):
 @cache
 def still_world(rate):
     rows = record_of(STILL, EARTH, LATITUDE, rate=rate, samples=rate * SECONDS)
-    return record_world(rows, site(EARTH, LATITUDE), pass_records=SECONDS)
+    return record_world(rows, site(EARTH, LATITUDE), pass_intervals=SECONDS)
 
 
 def fly(params, *, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nabla=0.0):
@@ -109,7 +109,7 @@ def fly(params, *, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nabla=0.0):
     )
     world = still_world(rate)
     world = world._replace(sensors=world.sensors._replace(errors=errors))
-    static = Static("compass", Options(1 / rate), rate, SECONDS, curves=False)
+    static = ProgramSpec("compass", Options(1 / rate), rate, SECONDS, curves=False)
     state = trail(static, world, one_run(np.eye(3), phi, v, params))
     c = of_quaternion(np.stack(state.nav.q, axis=1))
     v = np.stack([state.nav.ve, state.nav.vn], axis=1)

@@ -24,7 +24,7 @@ from oracles.naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, lo
 from support.methods import FACTS
 from support.studies import small_study
 
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import UNKNOWN_ANGLE, Options
 from sinsjax.methods.registry import METHODS
@@ -54,8 +54,8 @@ def method_of(name, **choices):
 @cache
 def params_of_study(name):
     """The method's params of a small study."""
-    group = Scenario(small_study(alignment={"method": name})).part(0).group
-    return jax.tree.map(lambda a: np.asarray(a)[0], group.variants.method)
+    group = Scenario(small_study(alignment={"method": name})).batch(0)
+    return jax.tree.map(lambda a: np.asarray(a)[0], group.params.method)
 
 
 def numbers(name, **changes):

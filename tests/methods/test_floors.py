@@ -8,11 +8,12 @@ import pytest
 from oracles.in_engine import ARCMIN
 from oracles.naive import DEG
 from scipy.spatial.transform import Rotation
+from support.batches import batch_of
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import run
-from sinsjax.engine import build
-from sinsjax.engine.bias_floors import has_floor, hidden_north
+from sinsjax.engine.scenario import floor_conditions, hidden_north
+from sinsjax.engine.success import has_floor
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import study_from_dict
@@ -55,8 +56,8 @@ def test_mean_biases_rotate_with_vehicle() -> None:
     """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
     sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
     sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
-    (part,) = build.parts(small_study(motion=sways, sensors=sensors))
-    eps, nabla, most = part.group.environment.biases
+    part = batch_of(small_study(motion=sways, sensors=sensors))
+    eps, nabla, most = part.environment.biases
     shrunk = 0.47200121576823484  # J0(pi/2)
     want = np.array([-0.2 * shrunk, 0.1 * shrunk, 0.3]) * DEG_PER_H
     np.testing.assert_allclose(eps, want, rtol=1e-12)
@@ -219,7 +220,8 @@ def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
 def runs_with_floor(study: Study, last_reset_s: float = 0.0) -> list[bool]:
     """Of the first draw's runs."""
     ids = np.arange(study.n_variants)
-    return has_floor(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
+    conditions = floor_conditions(study, 0 * ids, ids, np.full(ids.shape, last_reset_s))
+    return has_floor(conditions).tolist()
 
 
 def test_bias_floor_needs_ten_sway_periods_since_last_reset() -> None:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.batches import batch_of
 from support.studies import with_paper_values
 
-from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.methods import compass_design as design
 from sinsjax.study.load import study_from_dict
@@ -31,8 +31,8 @@ def numbers(**tables: Any) -> Any:
     data = copy.deepcopy(BASE)
     for name, table in tables.items():
         data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
-    (part,) = build.parts(study_from_dict(with_paper_values(data)))
-    return part.group.variants.method
+    part = batch_of(study_from_dict(with_paper_values(data)))
+    return part.params.method
 
 
 def refusal(**tables: Any) -> str:

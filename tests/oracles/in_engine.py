@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +11,9 @@ from support.alone import set_up_alone
 from support.methods import FIVE, TEN
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
-from sinsjax.engine.environment import Draw, Environment, RunParams, SensorModel, Static, Truth
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, SensorModel, Truth
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.run import advance_record
+from sinsjax.engine.run import Intervals, TileState, advance_interval
 from sinsjax.maths.algebra import triangle_index
 from sinsjax.methods import compass
 from sinsjax.methods.compass_design import AzimuthGains, LevelGains
@@ -175,7 +175,7 @@ def loops(given: Loops, turn: Sequence[float]) -> compass.LoopParams:
 
 
 def record_world(
-    rows: np.ndarray, here: Site, *, pass_records: int, errors: sensors.SensorErrors | None = None
+    rows: np.ndarray, here: Site, *, pass_intervals: int, errors: sensors.SensorErrors | None = None
 ) -> Environment:
     """An environment whose truth is not known: a record and a site."""
     never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
@@ -186,29 +186,37 @@ def record_world(
         truth=Truth(np.full((1, 1, 4), np.nan)),
         criteria=never,
         biases=NO_BIASES,
-        pass_records=np.asarray(pass_records),
+        pass_intervals=np.asarray(pass_intervals),
     )
 
 
-def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> RunParams:
+class Start(NamedTuple):
+    """The attitude of a run before its misalignment, and its params."""
+
+    q: Quat
+    params: RunParams
+
+
+def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> Start:
     """A run that starts from the attitude c, off by phi (rad), with the velocity v (m/s)."""
     q = Quat(*map(np.float64, quaternion(c)))
-    return RunParams(q, Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
+    params = RunParams(Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
+    return Start(q, params)
 
 
 @partial(jax.jit, static_argnums=0)
-def trail(static: Static, environment: Environment, params: RunParams) -> Any:
+def trail(spec: ProgramSpec, environment: Environment, start: Start) -> Any:
     """The state of the method at every record of one run of the engine, leaves (records, ...)."""
-    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0))
-    runs = set_up_alone(static, environment, draw, params)
+    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0), start.q)
+    runs = set_up_alone(spec, environment, draw, start.params)
     unknown = Quat(*(jnp.full(1, jnp.nan) for _ in range(4)))
 
-    def record(carry: Any, number: Any) -> tuple[Any, Any]:
-        carry, _ = advance_record(runs, carry, (number, unknown))
-        return carry, jax.tree.map(lambda a: a[0], carry[0].state)
+    def record(tile: TileState, number: Any) -> tuple[TileState, Any]:
+        tile, _ = advance_interval(runs, tile, Intervals(number, unknown))
+        return tile, jax.tree.map(lambda a: a[0], tile.run.state)
 
-    start = runs.start(), runs.sensors.initial_state()
-    return jax.lax.scan(record, start, jnp.arange(static.records))[1]
+    first = TileState(runs.start(), runs.sensors.start())
+    return jax.lax.scan(record, first, jnp.arange(spec.intervals))[1]
 
 
 def follow(
@@ -229,9 +237,9 @@ def follow(
     A record of ``stored`` records is read forward and backward in turn, or is rewound.
     """
     passes = "rewind" if rewinds else "alternate"
-    static = Static(name, options, every, records, curves=False, passes=passes)
+    spec = ProgramSpec(name, options, every, records, curves=False, passes=passes)
     return trail(
-        static, record_world(rows, here, pass_records=stored or records), one_run(*start, params)
+        spec, record_world(rows, here, pass_intervals=stored or records), one_run(*start, params)
     )
 
 

@@ -11,7 +11,7 @@ from support.refusals import assert_refusal
 from support.studies import STILL, small_study, small_tables
 
 import sinsjax
-from sinsjax.engine.truth import start_samples
+from sinsjax.engine.scenario import start_samples
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.records.layout import from_body_axes

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.studies import refusal_line, small_study
 
-from sinsjax.engine.bias_floors import variants_with_floor
-from sinsjax.engine.build import simulated_record
+import sinsjax
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.identity import fingerprint
@@ -60,7 +60,7 @@ def test_gyros_measure_the_attitude_between_rows(tmp_path):
 
 
 def test_study_with_file_has_no_floor(tmp_path):
-    assert not variants_with_floor(with_file(written(tmp_path))).any()
+    assert not any(sinsjax.run(with_file(written(tmp_path))).summary["has_floor"].to_pylist())
 
 
 def test_identity_has_the_content_of_the_file(tmp_path):

@@ -6,10 +6,10 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from support.batches import run_chunks
 from support.studies import BASE, small_study
 
-from sinsjax.engine.batch import run_chunks
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import SECTION_OF, SECTIONS, accepted_words, reading_methods
 from sinsjax.study.study import Study
@@ -86,7 +86,7 @@ def outcomes(study: Study) -> list[list[np.ndarray]]:
     found: dict[int, list[np.ndarray]] = {}
     scenario = Scenario(study, curves=True)
     for number, ids in enumerate(scenario.variant_ids):
-        for chunk in run_chunks(scenario.part(number, range(1)).group):
+        for chunk in run_chunks(scenario.batch(number, range(1))):
             leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(chunk.outcome)]
             for row, place in enumerate(chunk.variant):
                 found[int(ids[place])] = [leaf[row] for leaf in leaves]

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.batches import batches_of
 from support.refusals import assert_named
 from support.studies import refusal_line, small_study
 
-from sinsjax.engine import build
 from sinsjax.execution.checks import describe_measurement_noise
 from sinsjax.methods.filters.keys import surge_density
 from sinsjax.strapdown import processes
@@ -27,8 +27,8 @@ DENSITY = 2 * 0.02**2 * 5.0
 def compute_r(study: Study) -> np.ndarray:
     """(variants,) R of an update, (m/s)^2."""
     rows = {}
-    for part in build.parts(study):
-        r = np.asarray(part.group.variants.method.r)
+    for part in batches_of(study):
+        r = np.asarray(part.params.method.r)
         rows |= dict(zip(part.variant_ids.tolist(), r.tolist(), strict=True))
     return np.array([rows[variant] for variant in sorted(rows)])
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.batches import batch_of, batches_of
 from support.refusals import assert_named, refused
 from support.studies import BASE
 
-from sinsjax.engine import build
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.identity import fingerprint
@@ -35,9 +35,9 @@ def make_study(base: dict[str, Any] = BASE, **changes: Any) -> Study:
 def compute_q(study: Study) -> np.ndarray:
     """(variants, 2) Q of a step for velocity and attitude, (m/s)^2 and rad^2."""
     rows = {}
-    for part in build.parts(study):
-        if part.group.static.method.startswith("kalman"):
-            q = np.array(part.group.variants.method.q)
+    for part in batches_of(study):
+        if part.spec.method.startswith("kalman"):
+            q = np.array(part.params.method.q)
             np.testing.assert_array_equal(q[0], q[1])
             np.testing.assert_array_equal(q[2], q[4])
             rows |= dict(zip(part.variant_ids.tolist(), q[[0, 2]].T, strict=True))
@@ -132,10 +132,10 @@ def test_all_filters_read_noise_of_sensors(method):
     own = make_study(alignment={"method": method, "phi_u0_deg": 5.0})
     filter_ = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_sample"}
     given = make_study(alignment={"method": method, "phi_u0_deg": 5.0}, filter=filter_)
-    (made,), (expected,) = build.parts(own), build.parts(given)
+    made, expected = batch_of(own), batch_of(given)
     np.testing.assert_allclose(
-        np.array(made.group.variants.method.q),
-        np.array(expected.group.variants.method.q),
+        np.array(made.params.method.q),
+        np.array(expected.params.method.q),
         rtol=1e-12,
     )
 
@@ -241,8 +241,8 @@ def test_feedback_defaults_to_each_sample(rate_hz):
     made = make_study(study=settings | {"window_s": None}, axes={"p0_yaw_deg": [80.0, 60.0]})
     assert made.alignment.feedback_interval_s == 1 / rate_hz
     assert made.values("feedback_interval_s") == [1 / rate_hz] * 2
-    (part,) = build.parts(made)
-    np.testing.assert_array_equal(part.group.variants.method.feedback.every, [1.0, 1.0])
+    part = batch_of(made)
+    np.testing.assert_array_equal(part.params.method.feedback.every, [1.0, 1.0])
     assert study_from_dict(tomllib.loads(study_to_toml(made))) == made
 
 
@@ -264,5 +264,5 @@ def test_default_feedback_follows_changed_rate():
 
 def test_reset_at_default_feedback_is_not_delayed():
     made = make_study(resets={"reset_at_feedback": True, "reset_times_s": [1.23, 6.0]})
-    (part,) = build.parts(made)
-    np.testing.assert_array_equal(part.group.variants.method.resets.samples, [[123.0, 600.0]])
+    part = batch_of(made)
+    np.testing.assert_array_equal(part.params.method.resets.samples, [[123.0, 600.0]])

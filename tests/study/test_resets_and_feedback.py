@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from support.refusals import refused
 from support.studies import refusal_line, small_study
 
-from sinsjax.engine.bias_floors import last_scheduled_reset_s
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario, last_scheduled_reset_s
 from sinsjax.execution import run as study_run
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.study.identity import fingerprint
@@ -51,7 +50,7 @@ def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
     def params(times: list[float], **resets: Any) -> list[np.ndarray]:
         tables = {"alignment": {"feedback_interval_s": 0.35}}
         study = small_study(**tables, resets={"reset_times_s": times} | resets)
-        group = Scenario(study, curves=False).part(0, range(1)).group
+        group = Scenario(study, curves=False).batch(0, range(1))
         return [np.asarray(leaf) for leaf in jax.tree.leaves(group.variants)]
 
     first, second = params([1.05, 1.75]), params([1.05, 2.1])
@@ -128,7 +127,7 @@ def test_scheduled_last_reset_includes_delay_to_feedback():
 def test_default_reset_feedback_keys_keep_program_and_fingerprint(given_keys):
     study = small_study(resets=TRIGGER | {"reset_times_s": [1.0]} | given_keys)
     assert fingerprint(study) == fingerprint(small_study(resets=TRIGGER | {"reset_times_s": [1.0]}))
-    params = Scenario(study, curves=False).part(0, range(1)).group.variants.method
+    params = Scenario(study, curves=False).batch(0, range(1)).params.method
     assert params.feedback.restarts is None and params.trigger.at_feedback is None
 
 

@@ -5,9 +5,8 @@ import pytest
 from support.refusals import refused
 from support.studies import STILL, refusal_line, small_study
 
-from sinsjax.engine.bias_floors import hidden_north
-from sinsjax.engine.build import Scenario, simulated_record
-from sinsjax.engine.sensor_inputs import base_motion_of
+from sinsjax.engine.scenario import Scenario, hidden_north, read_motion
+from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.checks import study_warnings
@@ -139,7 +138,7 @@ def test_turns_can_be_swept_with_none_among_them():
     assert table["floor_arcmin"].to_pylist()[1:3] == [None, None]
     counts = []
     for variant in range(3):
-        turns = base_motion_of(Variants(study, np.array([variant]))).vertical
+        turns = read_motion(Variants(study, np.array([variant]))).vertical
         counts.append(0 if turns is None else len(turns.begin))
     assert counts == [0, 1, 2]
 

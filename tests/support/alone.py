@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine.environment import Draw, Environment, RunParams, Static, derive_inputs
-from sinsjax.engine.lanes import Tiles
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles, derive_inputs
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.run import TileRuns, run_tile, set_up
-from sinsjax.engine.samples import build_sensors
+from sinsjax.engine.samples import TileSensors
 from sinsjax.types import Increments
 
 
@@ -24,27 +23,29 @@ def tile_of_one(draw: Draw, params: RunParams) -> Tiles:
 
 
 def set_up_alone(
-    static: Static, environment: Environment, draw: Draw, params: RunParams
+    spec: ProgramSpec, environment: Environment, draw: Draw, params: RunParams
 ) -> TileRuns:
-    return set_up(static, environment, tile_of_one(draw, params))
+    return set_up(spec, environment, tile_of_one(draw, params))
 
 
 def run_alone(
-    static: Static, environment: Environment, draw: Draw, params: RunParams
+    spec: ProgramSpec, environment: Environment, draw: Draw, params: RunParams
 ) -> tuple[Outcome, Observation | None]:
     """The outcome of one run, closed after every sample, and its curves, leaves (records,)."""
     tile = tile_of_one(draw, params)
-    outcome, curves = run_tile(static, environment, tile, by_event=False)
+    outcome, curves = run_tile(spec, environment, tile, by_event=False)
     outcome = jax.tree.map(lambda a: a[0], outcome)
     return outcome, jax.tree.map(lambda a: a[..., 0], curves)
 
 
-def measure_alone(static: Static, environment: Environment, draw: Draw, numbers: Any) -> Increments:
+def measure_alone(
+    spec: ProgramSpec, environment: Environment, draw: Draw, numbers: Any
+) -> Increments:
     """Measured increments of one draw from its first sample, leaves (n,)."""
     draws = first_lane(draw)
-    derived = jax.vmap(lambda draw: derive_inputs(static, environment, draw))(draws)
-    sensors = build_sensors(static, environment, draws._replace(derived=derived))
+    derived = jax.vmap(lambda draw: derive_inputs(spec, environment, draw))(draws)
+    sensors = TileSensors(spec, environment, draws._replace(derived=derived))
     numbers = jnp.asarray(numbers)
     measure = sensors.make_sampler(numbers)
-    increments, _ = measure(sensors.initial_state(), jnp.arange(numbers.size))
+    increments, _ = measure(sensors.start(), jnp.arange(numbers.size))
     return jax.tree.map(lambda a: a[:, 0], increments)

@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import mstats
 from support.studies import small_study
 
-from sinsjax.engine.build import Scenario
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
@@ -268,7 +268,7 @@ def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -
     )
     base = search.derive_study(study, {"base": tuned.point}, name="base")
     got = tuned.at(method, Scenario(base, curves=False).keys(0), box[space.used_variables(chosen)])
-    expected = Scenario(there, curves=False).part(0).group.variants.method
+    expected = Scenario(there, curves=False).batch(0).params.method
     assert jax.tree.structure(got) == jax.tree.structure(expected)
     for leaf, expected_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)

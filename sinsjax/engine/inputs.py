@@ -1,10 +1,11 @@
-"""The inputs of runs: program, environment, draws and params.
+"""The inputs of runs: program, environment, draws and params, all in SI units.
 
-A `Static` decides the compiled program. Runs of one program share an `Environment`: Earth, base,
-sensors, truth and criteria. A `Draw` is one realisation of everything random, and `RunParams` are
-the numbers of one run. Fields of a draw that are None are those of the environment or the run.
+A `ProgramSpec` decides the compiled program. Runs of one program share an `Environment`: Earth,
+base, sensors, truth and criteria. A `Draw` is one realisation of everything random, and `RunParams`
+are the numbers of one run. Fields of a draw that are None are those of the environment or the run.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -29,12 +30,12 @@ class CoarseStage(NamedTuple):
 
     Attributes:
         method: name in `registry.METHODS`, of a method that needs no initial attitude.
-        records: its length in record intervals.
+        intervals: its length.
         replays: whether fine alignment then starts from the first sample again.
     """
 
     method: str
-    records: int
+    intervals: int
     replays: bool
 
 
@@ -56,15 +57,15 @@ class SensorProgram(NamedTuple):
     kept: int = 0
 
 
-class Static(NamedTuple):
+class ProgramSpec(NamedTuple):
     """The choices that decide a compiled program; hashable.
 
     Attributes:
         method: name in `registry.METHODS`.
         options: of that method.
-        record_every: samples per record interval.
-        records: record intervals per run; a run has records * record_every samples.
-        curves: whether observations at all record times are returned.
+        interval_samples: samples of an interval between two outputs.
+        intervals: of a run, which has intervals * interval_samples samples.
+        curves: whether the observations at the ends of all intervals are returned.
         sensors: see `SensorProgram`.
         passes: how the stored record is read: "once", forward and backward in turn ("alternate"),
             or forward every time ("rewind").
@@ -74,8 +75,8 @@ class Static(NamedTuple):
 
     method: str
     options: Options
-    record_every: int
-    records: int
+    interval_samples: int
+    intervals: int
     curves: bool
     sensors: SensorProgram = SensorProgram()
     passes: Literal["once", "alternate", "rewind"] = "once"
@@ -84,30 +85,29 @@ class Static(NamedTuple):
 
     @property
     def rewinds_attitude(self) -> bool:
-        """Return whether an attitude is propagated back to the beginning of the record."""
+        """Whether an attitude is propagated back to the beginning of the record."""
         return self.passes == "rewind" or (self.coarse is not None and self.coarse.replays)
 
     @property
+    def program(self) -> Program:
+        """The functions of the method."""
+        return METHODS[self.method].build(self.options)
+
+    @property
     def shares_covariance(self) -> bool:
-        """Return whether stacked tiles share one covariance."""
-        return self.stacks and build_program(self).shares_covariance
+        """Whether stacked tiles share one covariance."""
+        return self.stacks and self.program.shares_covariance
 
     @property
     def finds_heading(self) -> bool:
-        """Return whether the method finds a heading."""
+        """Whether the method finds a heading."""
         return METHODS[self.method].finds_heading
 
-
-def build_program(static: Static) -> Program:
-    """Return the functions of a method."""
-    return METHODS[static.method].build(static.options)
-
-
-def coarse_static(static: Static) -> Static:
-    """Return the program of the coarse stage, which lies within one pass."""
-    assert static.coarse is not None
-    options = Options(static.options.dt)
-    return static._replace(method=static.coarse.method, options=options, passes="once")
+    def of_coarse_stage(self) -> "ProgramSpec":
+        """Return the program of the coarse stage, which lies within one pass."""
+        assert self.coarse is not None
+        options = Options(self.options.dt)
+        return self._replace(method=self.coarse.method, options=options, passes="once")
 
 
 # What runs share
@@ -138,8 +138,8 @@ class Truth(NamedTuple):
     """The true or reference attitude.
 
     Attributes:
-        attitudes: (rows, records, 4) quaternions at record times; NaN if unknown.
-        times: (records,) record times by the clock of the stored record, s; None if draws have no
+        attitudes: (rows, intervals, 4) quaternions at the ends of intervals; NaN if unknown.
+        times: (intervals,) these ends by the clock of the stored record, s; None if draws have no
             motion of their own.
     """
 
@@ -156,7 +156,7 @@ class Environment(NamedTuple):
         truth: true attitudes.
         criteria: thresholds and times by which runs are judged.
         biases: mean sensor biases in n.
-        pass_records: record intervals per pass; without effect on a record that is read once.
+        pass_intervals: of a pass; without effect on a record that is read once.
     """
 
     site: Site
@@ -164,7 +164,7 @@ class Environment(NamedTuple):
     truth: Truth
     criteria: Criteria
     biases: MeanBiases
-    pass_records: Count
+    pass_intervals: Count
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -221,6 +221,7 @@ class Draw(NamedTuple):
         draw_id: number that decides its noise.
         start: first sample in the stored record; one number if many draws have the same.
         row: row of `Truth.attitudes`.
+        q: attitude before the initial misalignment is added: true, or coarsely aligned.
         initial: initial errors.
         errors: of the sensors.
         motion: of the base, whose increments are made as a run proceeds.
@@ -232,6 +233,7 @@ class Draw(NamedTuple):
     draw_id: Count
     start: Count
     row: Count
+    q: Quat
     initial: InitialErrors = InitialErrors()
     errors: sensors.SensorErrors | None = None
     motion: base_motion.Motion | None = None
@@ -244,7 +246,6 @@ class RunParams(NamedTuple):
     """Numbers of one run: all of them can be swept, mapped over or differentiated by.
 
     Attributes:
-        q: attitude before the study's misalignment is added: true, or coarsely aligned.
         phi: initial misalignment, rotation vector in n, rad.
         ve: initial velocity east, m/s.
         vn: initial velocity north, m/s.
@@ -252,7 +253,6 @@ class RunParams(NamedTuple):
         euler: whether ``phi`` still holds Euler angles, if draws have some of them.
     """
 
-    q: Quat
     phi: Vec3
     ve: Scalar
     vn: Scalar
@@ -260,61 +260,89 @@ class RunParams(NamedTuple):
     euler: Flag | None = None
 
 
-def derive_inputs(static: Static, environment: Environment, draw: Draw) -> DerivedInputs:
+class Tiles(NamedTuple):
+    """The draws and params of tiles; leading axes of tiles, and of sets if tiles are stacked.
+
+    Attributes:
+        draws: leaves (tiles, [sets,] draws).
+        row: (tiles, lanes) draw of each lane among those of its tile.
+        params: leaves (tiles, lanes, ...).
+    """
+
+    draws: Draw
+    row: Array
+    params: RunParams
+
+
+class DrawInputs(NamedTuple):
+    """All inputs of a draw: its own, or those of the environment.
+
+    Attributes:
+        site: Earth and place.
+        errors: of the sensors.
+        motion: of the base; None if it does not matter beyond its increments.
+        disturbances: random processes of base and sensors.
+        biases: mean sensor biases in n.
+    """
+
+    site: Site
+    errors: sensors.SensorErrors
+    motion: base_motion.Motion | None
+    disturbances: Disturbances
+    biases: MeanBiases
+
+
+def inputs_of(environment: Environment, draw: Draw) -> DrawInputs:
+    """Return all inputs of a draw, whose derived ones are known."""
+    shared, derived = environment.sensors, draw.derived
+    return DrawInputs(
+        environment.site if derived.site is None else derived.site,
+        shared.errors if draw.errors is None else draw.errors,
+        shared.motion if draw.motion is None else draw.motion,
+        shared.disturbances if draw.disturbances is None else draw.disturbances,
+        environment.biases if derived.biases is None else derived.biases,
+    )
+
+
+def derive_inputs(spec: ProgramSpec, environment: Environment, draw: Draw) -> DerivedInputs:
     """Return the inputs that follow from the numbers of one draw."""
     if draw.errors is None and draw.motion is None and draw.latitude is None:
         return DerivedInputs()
     site = environment.site
     if draw.latitude is not None:
         site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
-    errors = sensor_errors(environment.sensors, draw)
-    motion = select_motion(environment.sensors, draw)
-    assert motion is not None
+    given = inputs_of(environment, draw)
+    assert given.motion is not None
     rest = nodes = None
     if draw.motion is not None:
-        rate_hz = 1 / static.options.dt
-        nodes = base_motion.integration_nodes(motion, rate_hz)
-        if not static.sensors.sways:
-            rest = base_motion.ideal_sample(motion, nodes, site.place, rate_hz, 0.0)
+        rate_hz = 1 / spec.options.dt
+        nodes = base_motion.integration_nodes(draw.motion, rate_hz)
+        if not spec.sensors.sways:
+            rest = base_motion.ideal_sample(draw.motion, nodes, site.place, rate_hz, 0.0)
             nodes = None
     return DerivedInputs(
-        None if draw.latitude is None else site, mean_biases(errors, motion), rest, nodes
+        None if draw.latitude is None else site,
+        mean_biases(given.errors, given.motion),
+        rest,
+        nodes,
     )
 
 
-def sensor_errors(model: SensorModel, draw: Draw) -> sensors.SensorErrors:
-    """Return the sensor errors of a draw."""
-    return model.errors if draw.errors is None else draw.errors
+def map_draws(
+    function: Callable[..., Any], draws: Draw, *others: Any, axes: Any = None, out_axes: int = 0
+) -> Any:
+    """Map a function over draws, whose leaves are (draws,), or () of what all of them share.
 
-
-def has_quantisation(model: SensorModel, draw: Draw) -> bool:
-    """Return whether the sensors of a draw quantise."""
-    return sensor_errors(model, draw).gyro_quantum is not None
-
-
-def select_disturbances(model: SensorModel, draw: Draw) -> Disturbances:
-    """Return the random processes that disturb a draw."""
-    return model.disturbances if draw.disturbances is None else draw.disturbances
-
-
-def select_motion(model: SensorModel, draw: Draw) -> base_motion.Motion | None:
-    """Return the motion of the base of a draw; None if it does not matter beyond its increments."""
-    return model.motion if draw.motion is None else draw.motion
-
-
-def select_site(site: Site, draw: Draw) -> Site:
-    """Return Earth and place of a draw."""
-    return site if draw.derived.site is None else draw.derived.site
-
-
-def select_biases(biases: MeanBiases, draw: Draw) -> MeanBiases:
-    """Return the mean sensor biases of a draw."""
-    return biases if draw.derived.biases is None else draw.derived.biases
-
-
-def initial_true_attitude(draw: Draw) -> Quat | None:
-    """Return the attitude of the base before the first sample if a draw has its own, else None."""
-    return None if draw.motion is None else base_motion.attitude(draw.motion, 0.0)
+    Args:
+        function: of one draw, and of others.
+        draws: to map over.
+        others: further arguments.
+        axes: axis of the draws in each of ``others``; None for 0 in all of them.
+        out_axes: axis of the draws in what is returned.
+    """
+    leaves = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
+    in_axes = (leaves, *((0,) * len(others) if axes is None else axes))
+    return jax.vmap(function, in_axes, out_axes)(draws, *others)
 
 
 def stored_attitude(truth: Truth, draw: Draw, number: Array) -> Quat:
@@ -322,8 +350,8 @@ def stored_attitude(truth: Truth, draw: Draw, number: Array) -> Quat:
     return Quat(*jnp.moveaxis(jnp.asarray(truth.attitudes)[draw.row, number], -1, 0))
 
 
-def computed_attitudes(truth: Truth, draw: Draw, records: int) -> Quat:
-    """Return the attitudes of the base of a draw with its own motion, leaves (records,)."""
+def computed_attitudes(truth: Truth, draw: Draw, intervals: int) -> Quat:
+    """Return the attitudes of a base of the draw's own, at the ends of intervals."""
     assert draw.motion is not None
-    times = jnp.asarray(truth.times)[:records]
+    times = jnp.asarray(truth.times)[:intervals]
     return jax.vmap(partial(base_motion.attitude, draw.motion))(times)

@@ -1,0 +1,834 @@
+"""From a study to arrays in SI units: the one module of the engine that knows studies.
+
+A study's variants are split into programs by the values of `PROGRAM_KEYS`, `ENVIRONMENT_KEYS` and
+`PASS_KEYS`: those of a program share its compiled code and its environment (Earth, motion of the
+base, sensors), and all differences between them are numbers. A `Scenario` makes the `batch.Batch`
+of each program on demand.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import numpy as np
+
+from sinsjax import units
+from sinsjax.engine import truth
+from sinsjax.engine.batch import Batch
+from sinsjax.engine.inputs import (
+    CoarseStage,
+    Draw,
+    Environment,
+    InitialErrors,
+    ProgramSpec,
+    RunParams,
+    SensorModel,
+    SensorProgram,
+    Truth,
+    aligned_record,
+)
+from sinsjax.engine.metrics import Criteria
+from sinsjax.engine.success import FloorConditions, SuccessLimits, has_floor
+from sinsjax.errors import InputError
+from sinsjax.maths.rotations import euler_vector
+from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
+from sinsjax.methods.floors import NO_BIASES, mean_attitude, mean_biases
+from sinsjax.methods.method import Options, Site
+from sinsjax.methods.registry import METHODS
+from sinsjax.platform import runtime
+from sinsjax.records import require_span
+from sinsjax.records.reference import StoredRecord
+from sinsjax.strapdown import earth, processes, sensors
+from sinsjax.strapdown.attitude_path import attitude_path
+from sinsjax.strapdown.base_motion import Motion, Sway
+from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.strapdown.processes import Process
+from sinsjax.strapdown.sensors import SensorErrors
+from sinsjax.strapdown.turns import Turns
+from sinsjax.study import sampling
+from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS, SECTION_OF
+from sinsjax.study.load import load_study, with_rate
+from sinsjax.study.resolved import CodedColumn
+from sinsjax.study.schema import (
+    BIAS_KEYS,
+    TURN_KEYS,
+    EarthSection,
+    MotionSection,
+    SensorsSection,
+    keys_acting_as,
+)
+from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
+from sinsjax.study.success import settling_bands, success_criteria
+from sinsjax.study.turns import turns_in_samples
+from sinsjax.study.variants import Lookup, Variants
+from sinsjax.types import Array, Quat, Vec3
+from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
+from sinsjax.value_types import Section
+
+PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger", *COARSE_KEYS)
+"""Keys whose values decide the compiled program."""
+
+ENVIRONMENT_KEYS = tuple(
+    key for model in (EarthSection, MotionSection, SensorsSection) for key in model.model_fields
+)
+"""Keys whose values decide the environment."""
+
+MOST_STORED_SAMPLES = 2**22
+"""Samples of the longest simulated record that is stored, 200 MB; more are made as runs proceed."""
+
+NOMINAL_LATITUDE_DEG = 45.0
+"""Replaces a drawn latitude where one is needed for all draws: in the gains of compass loops, which
+depend on it by gravity and radius alone, 0.3 % on an ellipsoid."""
+
+StudySource: TypeAlias = Study | str | Path
+"""A study, its file, or the name of a shipped study."""
+
+_ANGLES = ("pitch", "roll", "yaw")
+_NEVER_S = 1e12  # beginning of a turn after every run
+_MOST_DRAWS = 4096  # draws that are examined before a study runs
+_BLOCK = 256  # draws averaged at a time: some 10 MB
+
+
+class Place(NamedTuple):
+    """Where a run is in its scenario.
+
+    Attributes:
+        program: number of its program.
+        variant: place of its variant among those of the program.
+    """
+
+    program: int
+    variant: int
+
+
+class Scenario:
+    """A study ready to be run: the runs of its programs, each made on demand.
+
+    Attributes:
+        study: checked study.
+        stored: the record of a recorded study, else None.
+        curves: whether curves are returned.
+        variant_ids: numbers of the variants of each program.
+    """
+
+    def __init__(
+        self,
+        study: StudySource,
+        stored: StoredRecord | None = None,
+        *,
+        curves: bool | None = None,
+    ) -> None:
+        """Check all that can be checked before any run.
+
+        Args:
+            study: study, its file, or the name of a shipped study.
+            stored: the record of a recorded study, else None.
+            curves: whether curves are returned; None for what the study asks.
+
+        Raises:
+            InputError: a record is missing or not needed, compass loops cannot be run, runs without
+                a bias floor are to be judged from it, or double precision cannot be enabled
+                (`runtime.ensure_configured`).
+        """
+        runtime.ensure_configured()
+        study = study if isinstance(study, Study) else load_study(study)
+        if study.is_recorded and stored is not None:
+            study = with_rate(study, stored.record.rate_hz)
+        if study.is_recorded != (stored is not None):
+            text = "reads a record, none is given" if study.is_recorded else "reads no record"
+            raise InputError(f"{study.name}: the study {text}: see [record]")
+        _require_floor(study)
+        self.study, self.stored = study, stored
+        self.curves = study.study.curves if curves is None else curves
+        self.variant_ids = list(_split(study))
+        for number in range(len(self.variant_ids)):
+            keys = self.keys(number)
+            if check := METHODS[keys.common("method")].check:
+                check(keys)
+
+    def keys(self, number: int, variants: Any = slice(None)) -> Variants:
+        """Return the keys of a program, or of some of its variants, with their site."""
+        ids = self.variant_ids[number][variants]
+        site, micro_g = read_site(self.study, Variants(self.study, ids), self.stored)
+        return Variants(self.study, ids, site=site, micro_g=micro_g)
+
+    def find(self, variant_id: int) -> Place:
+        """Return the place of a variant.
+
+        Raises:
+            InputError: the study has no such variant.
+        """
+        for number, ids in enumerate(self.variant_ids):
+            if len(found := np.flatnonzero(ids == variant_id)):
+                return Place(number, int(found[0]))
+        text = f"has no variant {variant_id}, of {self.study.n_variants}"
+        raise InputError(f"{self.study.name}: {text}")
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether runs can be judged, by the truth of a simulation or the reference of a record."""
+        return self.stored is None or self.stored.reference is not None
+
+    @cached_property
+    def specs(self) -> list[ProgramSpec]:
+        """The choices that decide each program."""
+        variants = (Variants(self.study, ids) for ids in self.variant_ids)
+        return [_program_spec(self.study, keys, self.curves) for keys in variants]
+
+    def batch(
+        self,
+        number: int,
+        draws: range | None = None,
+        *,
+        variants: Any = slice(None),
+        blank: bool = False,
+    ) -> Batch:
+        """Return the runs of a program, on all draws or a range of them.
+
+        Args:
+            number: of the program.
+            draws: range of draws; None for all.
+            variants: places of variants, as an index.
+            blank: whether the truth of a simulation is replaced by zeros, enough to compile.
+
+        Raises:
+            InputError: a record that does not fit the study.
+        """
+        keys = self.keys(number, variants)
+        if self.stored is None:
+            draws = range(self.study.n_draws) if draws is None else draws
+            environment, drawn = _simulated_inputs(self.study, keys, draws, blank=blank)
+        else:
+            environment, drawn = _recorded_inputs(self.study, keys, self.stored)
+        params = _run_params(self.study, keys)
+        return Batch(self.specs[number], environment, drawn, params, keys.ids)
+
+
+def _split(study: Study) -> Iterator[np.ndarray]:
+    """Yield the numbers of variants that share program and environment, by first appearance."""
+    keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
+    swept = [key for key in study.axis_keys if key in keys]
+    swept += ["reset_trigger"] if study.names_schedules else []
+    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    _, first, part = np.unique(codes, return_index=True, return_inverse=True)
+    in_order = np.argsort(part, kind="stable")
+    ids = np.split(in_order, np.cumsum(np.bincount(part))[:-1])
+    yield from (ids[number] for number in np.argsort(first))
+
+
+# The program
+
+
+def _span(study: Study, keys: Variants) -> Span:
+    return study.span(**{key: keys.common(key) for key in PASS_KEYS} if study.passes else {})
+
+
+def _samples_read(study: Study) -> int:
+    """Return the samples that the longest run reads: of one length, programs are shared."""
+    return max(span.records_read for span in study.distinct_spans) * study.record_every
+
+
+def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
+    """Return the program of some variants."""
+    simulated, span, method = not study.is_recorded, _span(study, keys), keys.common("method")
+    blocks = (0, 0)
+    if METHODS[method].program.block_fit is not None:
+        blocks = study.record_every, span.records
+    reverses = study.passes is not None and not span.rewinds
+    keeps = simulated and reverses and keys.is_active(*SEQUENTIAL_KEYS)
+    return ProgramSpec(
+        method,
+        Options(
+            dt=1 / study.rate_hz,
+            specific_force=keys.common("specific_force") or "measured",
+            position=keys.common("position"),
+            trigger=(study.has("resets") and keys.common("reset_trigger")) or "none",
+            innovations=study.is_recorded,  # a simulation has the truth to be judged by
+            record_every=blocks[0],
+            records=blocks[1],
+        ),
+        study.record_every,
+        span.records,
+        curves,
+        sensors=SensorProgram(
+            noisy=simulated and keys.is_active(*keys_acting_as("noise")),
+            distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
+            sways=simulated and _moves(keys),
+            kept=_samples_read(study) if keeps else 0,
+        ),
+        passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
+        coarse=_coarse_stage(study, keys),
+    )
+
+
+def _coarse_stage(study: Study, keys: Variants) -> CoarseStage | None:
+    """Return coarse alignment if it is a stage of the runs of some variants, else None."""
+    if not study.coarse:
+        return None
+    method, length_s, then = (keys.common(key) for key in COARSE_KEYS)
+    if not study.has_coarse_stage(method, then):
+        return None
+    intervals = round(length_s * study.rate_hz / study.record_every)
+    return CoarseStage(method, intervals, then == "replay")
+
+
+# What runs share, and their draws
+
+
+def read_site(study: Study, keys: Variants, stored: StoredRecord | None) -> tuple[Site, float]:
+    """Return Earth and place of some variants, and their ug, m/s^2."""
+    height = keys.common("height_m")
+    if height is None:
+        height = (stored.record.height_m if stored else None) or 0.0
+    if keys.common("earth") == "wgs84":
+        model, ug = earth.wgs84(height), units.micro_g()
+    else:
+        gravity, radius, rate = (keys.common(key) for key in EARTH_CONSTANTS)
+        model = earth.sphere(rate * DEG_PER_H, radius, gravity, height)
+        ug = units.micro_g(gravity)
+    latitude = keys.common("latitude_deg")
+    if latitude is None and stored is not None:
+        latitude = stored.record.latitude_deg
+    if latitude is None and "latitude_deg" in study.drawn_keys:
+        latitude = NOMINAL_LATITUDE_DEG
+    if latitude is None:
+        source = stored.record.source if stored else study.name
+        raise InputError(f"{source}: no latitude in the record: give [earth] latitude_deg")
+    site = Site(model, earth.place(model, latitude * DEG), latitude * DEG)
+    return jax.tree.map(np.float64, site), ug
+
+
+def _criteria(study: Study, keys: Variants) -> Criteria:
+    """Return the criteria by which the runs of some variants are judged."""
+    settings, before = study.study, 0
+    if study.counts_before:
+        coarse = (keys.common(key) for key in COARSE_KEYS)
+        before = study.samples_before(study.rate_hz, *coarse)
+    return Criteria(
+        bands=np.asarray(settling_bands(study)) * ARCMIN,
+        window_start=np.float64(settings.window_s[0]),
+        window_end=np.float64(settings.window_s[1]),
+        consistency_after=np.float64(settings.consistency_after_s),
+        steady_after=np.float64(settings.steady_after_s),
+        report_samples=study.report_samples(before) if study.report_times_s else None,
+    )
+
+
+class BaseAndSensors(NamedTuple):
+    """The base and the sensors of some variants, or of their draws, leaves (draws, ...)."""
+
+    errors: SensorErrors
+    motion: Motion
+    disturbances: Disturbances
+
+
+def _base_and_sensors(keys: Variants) -> BaseAndSensors:
+    """Return base and sensors; without draws, a drawn key is zero, or its default."""
+    errors = read_errors(keys.common, keys.micro_g, keys.rate_hz)
+    if keys.is_active(*keys_acting_as("quantum")):
+        errors = errors._replace(
+            gyro_quantum=_read_vector(keys.common, "gyro_quantisation_arcsec", ARCSEC),
+            accel_quantum=_read_vector(keys.common, "accel_quantisation_um_per_s", 1e-6),
+        )
+    return BaseAndSensors(errors, read_motion(keys), read_disturbances(keys, keys.rate_hz))
+
+
+def _simulated_inputs(
+    study: Study, keys: Variants, draws: range, *, blank: bool
+) -> tuple[Environment, Draw]:
+    """Return the environment and the draws of a simulation; a blank one has zeros for the truth."""
+    place, span, rate_hz = keys.site.place, _span(study, keys), study.rate_hz
+    nominal = _base_and_sensors(keys)
+    errors, motion, disturbances = nominal
+    times = np.concatenate([[0.0], study.stored_times(span)])
+    increments, axes, rocks = None, None, disturbances.rocking is not None
+    draws_motion = _draws_any(study, EarthSection, MotionSection)
+    if draws_motion:
+        # Each draw makes its own as it proceeds.
+        increments, attitudes = np.zeros((1, 6)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    else:
+        samples = _samples_read(study)
+        samples = samples if samples <= MOST_STORED_SAMPLES else 0
+        travels = disturbances.surge is not None or (rocks and motion.lever is not None)
+        rows = truth.true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
+        attitudes = truth.true_attitudes(motion, times, blank=blank)
+        if samples:
+            increments, axes = rows[:, :6], rows[:, 6:] if travels else None
+    needs_motion = bool(study.drawn_keys) or increments is None or rocks
+    model = SensorModel(
+        increments,
+        errors,
+        np.asarray(study.seed),
+        motion if needs_motion else None,
+        axes,
+        disturbances,
+    )
+    environment = Environment(
+        keys.site,
+        model,
+        Truth(attitudes[None, 1:], times[1:] if draws_motion else None),
+        _criteria(study, keys),
+        mean_biases(errors, motion),
+        np.asarray(span.pass_records),
+    )
+    n = len(draws)
+    q = Quat(*(np.full(n, part) for part in attitudes[0]))
+    drawn = _drawn_fields(study, keys, draws, nominal) if study.drawn_keys else {}
+    ids = np.arange(draws.start, draws.stop)
+    return environment, Draw(ids, np.asarray(0), np.zeros(n, int), q, **drawn)
+
+
+def _draws_any(study: Study, *sections: type[Section]) -> bool:
+    """Return whether a study draws a key of some sections."""
+    return any(key in section.model_fields for key in study.drawn_keys for section in sections)
+
+
+def _drawn_fields(
+    study: Study, keys: Variants, draws: range, nominal: BaseAndSensors
+) -> dict[str, Any]:
+    """Return the drawn numbers of a simulated study as fields of `Draw`."""
+    values = sampling.drawn_values(study, len(draws), first=draws.start)
+    drawn = _base_and_sensors(
+        Variants(study, keys.ids, values, site=keys.site, micro_g=keys.micro_g)
+    )
+    errors, motion, disturbances = jax.tree.map(
+        lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
+    )
+    fields: dict[str, Any] = {"initial": _initial_errors(values)}
+    if _draws_any(study, SensorsSection):
+        fields["errors"] = errors
+    if _draws_any(study, MotionSection, EarthSection):
+        fields["motion"] = motion
+    if _draws_any(study, EarthSection):
+        fields["latitude"] = values["latitude_deg"] * DEG
+    if any(key in study.drawn_keys for key in keys_acting_as("process", "process_shape")):
+        fields["disturbances"] = disturbances
+    return fields
+
+
+def _initial_errors(values: Mapping[str, np.ndarray]) -> InitialErrors:
+    """Return the drawn initial errors."""
+    angles = (values.get(f"phi_{axis}0_deg") for axis in "enu")
+    e, n, u = (None if angle is None else angle * DEG for angle in angles)
+    return InitialErrors((e, n, u), values.get("ve0_m_per_s"), values.get("vn0_m_per_s"))
+
+
+def start_samples(study: Study, rate_hz: float) -> np.ndarray:
+    """Return the sample of a record at which the coarse alignment of each draw starts, (draws,)."""
+    assert study.record is not None
+    return np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
+
+
+def _recorded_inputs(
+    study: Study, keys: Variants, stored: StoredRecord
+) -> tuple[Environment, Draw]:
+    """Return the environment and the draws of a record, one per start time, coarsely aligned.
+
+    If coarse alignment is a stage of the runs, their attitude is unknown.
+    """
+    record, rate, span = stored.record, study.rate_hz, _span(study, keys)
+    if abs(record.rate_hz - rate) > 1e-6 * rate:
+        raise InputError(
+            f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
+        )
+    method, *rest = (keys.common(key) for key in COARSE_KEYS)
+    coarse_n, starts = study.samples_before(rate, method, *rest), start_samples(study, rate)
+    needed = coarse_n + span.records_read * study.record_every
+    for start in starts / rate:
+        require_span(record, start, needed / rate)
+    # Only the part of the record that is read.
+    first, end = starts.min(), starts.max() + needed
+    increments = aligned_record(int(end - first))
+    np.concatenate([a[first:end] for a in (record.dtheta, record.dv)], axis=1, out=increments)
+    n = len(starts)
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    if coarse_n:
+        pieces = np.stack([increments[start - first :][:coarse_n] for start in starts])
+        q = truth.coarse_attitudes(method, pieces, 1 / rate, keys.site)
+    fine = starts + coarse_n
+    times = [start / rate + study.stored_times(span) for start in fine]
+    environment = Environment(
+        keys.site,
+        SensorModel(increments, sensors.error_free_sensors(), np.asarray(study.seed)),
+        Truth(np.stack([truth.reference_attitudes(stored, at) for at in times])),
+        _criteria(study, keys),
+        NO_BIASES,
+        np.asarray(span.pass_records),
+    )
+    initial = _initial_errors(sampling.drawn_values(study, n))
+    draws = Draw(np.arange(n), fine - first, np.arange(n), Quat(*np.asarray(q).T), initial)
+    return environment, draws
+
+
+# The base and the sensors from the keys of [motion] and [sensors]
+
+
+def _read_number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:
+    """Return a key's number (...,); the default, or zero, in place of a drawn value."""
+    value = common(key)
+    if value is None:
+        section = MotionSection if key in MotionSection.model_fields else SensorsSection
+        value = section.model_fields[key].default or 0.0
+    return np.asarray(np.asarray(value, dtype=float) * factor)
+
+
+def _read_vector(common: Lookup, key: str, factor: float = 1.0, count: int = 3) -> np.ndarray:
+    """Return a key's numbers (..., count): one for all axes, and zero in place of a drawn value."""
+    value = common(key)
+    given = np.asarray(0.0 if value is None else value, dtype=float) * factor
+    return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
+
+
+def read_sways(common: Lookup) -> Motion:
+    """Return the sways of the base, from `Variants.common`."""
+    number = partial(_read_number, common)
+
+    def sway(angle: str) -> Sway:
+        return Sway(
+            center=number(f"{angle}_center_deg", DEG),
+            amplitude=number(f"{angle}_amplitude_deg", DEG),
+            period=number(f"{angle}_period_s"),
+            phase=number(f"{angle}_phase_deg", DEG),
+        )
+
+    return Motion(sway("pitch"), sway("roll"), sway("yaw"))
+
+
+def _moves(keys: Variants) -> bool:
+    """Return whether the base sways or is turned."""
+    given = any(keys.common(key) for key in ("turn_times_s", "attitude_file"))
+    return given or keys.is_active(*keys_acting_as("sway"))
+
+
+def read_motion(keys: Variants) -> Motion:
+    """Return the whole motion of the base: sways, turns, given attitudes, and the lever arm."""
+    motion = add_turns(read_sways(keys.common), keys)
+    if (given := keys.attitude) is not None:
+        motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
+    rotates = _moves(keys) or keys.is_active("vibration_deg_per_h_rms")
+    if rotates and keys.is_active("lever_arm_m"):
+        arm = np.moveaxis(_read_vector(keys.common, "lever_arm_m"), -1, 0)
+        motion = motion._replace(lever=Vec3(*arm))
+    return motion
+
+
+def add_turns(motion: Motion, keys: Variants) -> Motion:
+    """Return the motion of the base with its turns, if it has any."""
+    values, rate_hz = {key: keys.common(key) for key in TURN_KEYS}, keys.rate_hz
+    if not values["turn_times_s"]:
+        return motion
+    plan = turns_in_samples(rate_hz, keys.data_end_s, values)
+    count, angles = len(plan.turns), np.array([turn.angle_deg for turn in plan.turns])
+    turns = Turns(
+        begin=np.array([turn.begin for turn in plan.turns]) / rate_hz,
+        length=np.array([turn.length for turn in plan.turns]) / rate_hz,
+        ramp=np.full(count, plan.ramp / rate_hz),
+        rate=np.array([turn.rate_deg_per_s for turn in plan.turns]) * DEG,
+        before=np.remainder(np.cumsum(angles) - angles, 360.0) * DEG,
+    )
+    # With turns that never begin, so that few programs are compiled.
+    unused = (0, 2 ** (count - 1).bit_length() - count)
+    begin = np.pad(turns.begin, unused, constant_values=_NEVER_S)
+    turns = Turns(*(np.pad(a, unused, mode="edge") for a in turns))._replace(begin=begin)
+    if values["turn_axis"] == "body":
+        return motion._replace(table=turns)
+    return motion._replace(vertical=turns)
+
+
+def read_errors(common: Lookup, ug: float, rate_hz: float) -> SensorErrors:
+    """Return the sensor errors with their ug, m/s^2, and rate, Hz."""
+    dt, numbers = 1 / rate_hz, partial(_read_vector, common)
+
+    def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
+        # The standard deviation of a sample integrates to dt times it, a density to sqrt(dt).
+        if common(density) is not None:
+            return numbers(density, units_[1] * np.sqrt(dt))
+        return numbers(per_sample, units_[0] * dt)
+
+    def matrix(scale: str, cross: str) -> np.ndarray:
+        scales, angles = numbers(scale, PPM), numbers(cross, ARCSEC, 6)
+        out = np.zeros((*np.broadcast_shapes(scales.shape[:-1], angles.shape[:-1]), 3, 3))
+        out[..., range(3), range(3)] = scales
+        out[..., ~np.eye(3, dtype=bool)] = angles
+        return out
+
+    return SensorErrors(
+        gyro_bias=numbers("gyro_bias_deg_per_h", DEG_PER_H),
+        accel_bias=numbers("accel_bias_ug", ug),
+        gyro_noise=noise(
+            "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
+        ),
+        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", (ug, ug)),
+        gyro_matrix=matrix("gyro_scale_ppm", "gyro_misalignment_arcsec"),
+        accel_matrix=matrix("accel_scale_ppm", "accel_misalignment_arcsec"),
+    )
+
+
+def read_disturbances(keys: Variants, rate_hz: float) -> Disturbances:
+    """Return the random processes of base and sensors at some rate, Hz."""
+    number, vector = partial(_read_number, keys.common), partial(_read_vector, keys.common)
+    dt, ug = 1 / rate_hz, keys.micro_g
+
+    def process(key: str, make: Callable[..., Process], factor: float, *others: Any) -> Any:
+        return make(vector(key, factor), *others, dt) if keys.is_active(key) else None
+
+    surge_s, vibration = number("surge_time_s"), number("vibration_hz")
+    if keys.common("surge_model") == "gauss_markov":
+        surge = process("surge_m_per_s", processes.gauss_markov_process, 1.0, surge_s)
+    else:
+        limited = surge_s, number("surge_bandwidth_hz")
+        surge = process("surge_m_per_s", processes.bounded_velocity_process, 1.0, *limited)
+    resonant = vibration, number("vibration_damping")
+    drift, walk = processes.sampled_mean_of_gauss_markov, processes.sampled_mean_of_random_walk
+    gyro_s, accel_s = (number(f"{sensor}_instability_time_s") for sensor in ("gyro", "accel"))
+    # A vibrating velocity or angle with rms 1 has a derivative with rms omega.
+    omega, resonance = 2 * np.pi * vibration[..., None], processes.resonance_process
+    shaking = process("vibration_ug_rms", resonance, ug, *resonant)
+    rocking = process("vibration_deg_per_h_rms", resonance, DEG_PER_H, *resonant)
+    return Disturbances(
+        surge=surge,
+        gyro_instability=process("gyro_instability_deg_per_h", drift, DEG_PER_H, gyro_s),
+        accel_instability=process("accel_instability_ug", drift, ug, accel_s),
+        gyro_walk=process("gyro_rrw_deg_per_h_per_sqrt_h", walk, DEG_PER_H / np.sqrt(HOUR)),
+        accel_walk=process("accel_rrw_ug_per_sqrt_h", walk, ug / np.sqrt(HOUR)),
+        shaking=shaking and shaking._replace(scale=shaking.scale / omega),
+        rocking=rocking and rocking._replace(scale=rocking.scale / omega),
+    )
+
+
+# The numbers of runs
+
+
+def _run_params(study: Study, keys: Variants) -> RunParams:
+    """Return the params of some variants, leaves (variants, ...)."""
+    start = [f"phi_{axis}0_deg" for axis in "enu"]
+    drawn = any(key in study.drawn_keys for key in start)
+    euler = keys.coded("misalignment").compute(lambda meaning: meaning == "euler", bool)
+    phi = Vec3(*(keys.column(key, DEG) for key in start))
+    if euler.any() and not drawn:
+        phi = _rotation_vectors(keys.coded("misalignment", *start))
+    return RunParams(
+        phi=phi,
+        ve=keys.column("ve0_m_per_s"),
+        vn=keys.column("vn0_m_per_s"),
+        method=METHODS[keys.common("method")].params(keys, np),
+        euler=euler if drawn and euler.any() else None,
+    )
+
+
+def _rotation_vectors(starts: CodedColumn) -> Vec3:
+    """Return rotation vectors of initial misalignments given in degrees, leaves (variants,)."""
+    angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
+    euler = np.asarray([values[0] == "euler" for values in starts.choices])
+    vectors = np.where(euler, np.stack(_euler_vectors(*angles)), angles)
+    return Vec3(*vectors[:, starts.codes])
+
+
+@jax.jit
+def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
+    return jax.vmap(euler_vector)(e, n, u)
+
+
+# How runs are judged
+
+
+def success_limits(study: Study) -> SuccessLimits:
+    """Return the limits of a study's successful runs."""
+    criteria = success_criteria(study)
+    return SuccessLimits(
+        from_truth=criteria.from_truth,
+        band=settling_bands(study).index(criteria.band_arcmin),
+        level_band=criteria.level_band_arcmin * ARCMIN,
+        diverged=criteria.diverged_deg * DEG,
+        dwell_s=criteria.dwell,
+    )
+
+
+def last_scheduled_reset_s(study: Study) -> np.ndarray:
+    """Return the time of the last reset of each variant's schedule, (variants,), s; 0 for none."""
+    if not study.has("resets"):
+        return np.zeros(study.n_variants)
+    values = study.resolved.column(*RESET_KEYS)
+    return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
+
+
+def floor_conditions(
+    study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
+) -> FloorConditions:
+    """Return what decides whether runs of a simulated study have a bias floor.
+
+    Args:
+        study: checked study.
+        draw_ids: (runs,).
+        variant_ids: (runs,).
+        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
+    """
+    first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
+    drawn = sampling.drawn_values(study, last + 1 - first, first=first)
+    keys = Variants(study, variant_ids)
+
+    def number(key: str) -> np.ndarray:
+        return drawn[key][draw_ids - first] if key in drawn else keys.column(key)
+
+    def is_biased(key: str) -> np.ndarray:
+        if key in drawn:
+            return drawn[key][draw_ids - first].any(-1)
+        return keys.compute(np.any, key, dtype=bool)
+
+    names = keys.compute(lambda name: name, "method", dtype=object)
+    rate_n = keys.compute(_earth_rate, "earth", "earth_rate_deg_per_h")
+    rate_n = rate_n * np.cos(number("latitude_deg") * DEG)
+    shared = np.full(len(names), np.nan)
+    for name in study.methods:
+        if pairs := METHODS[name].gyro_bias_keys:
+            given = [pair for pair in pairs if study.has(SECTION_OF[pair[0]])]
+            sigmas = [(number(bias), number(yaw)) for bias, yaw in given]
+            part = _sigma_shared_with_bias(rate_n, sigmas)
+            shared = np.where(names == name, part, shared)
+    codes, spans = study.lengths
+    intervals = np.array([(span.records, span.pass_records) for span in spans])
+    length, pass_s = (intervals[codes[variant_ids]] * study.record_every / study.rate_hz).T
+    return FloorConditions(
+        amplitudes=np.stack([number(f"{angle}_amplitude_deg") for angle in _ANGLES]) * DEG,
+        periods_s=np.stack([number(f"{angle}_period_s") for angle in _ANGLES]),
+        averaged_over_s=np.minimum(length - last_reset_s, pass_s),
+        biased=np.logical_or(*map(is_biased, BIAS_KEYS)),
+        turned=keys.compute(lambda *given: any(given), "turn_times_s", "attitude_file", dtype=bool),
+        known=keys.compute(lambda name: METHODS[name].has_floor, "method", dtype=bool),
+        shared=shared,
+    )
+
+
+def _sigma_shared_with_bias(
+    rate_n: np.ndarray, sigmas: list[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
+
+    Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
+    splits by their variances.
+
+    Args:
+        rate_n: omega_N, rad/s.
+        sigmas: of gyro bias, deg/h, and heading, deg: at the start, then at a reset; where NaN, a
+            reset sets P as at the start.
+    """
+    most = np.zeros(len(rate_n))
+    for at_reset in sigmas:
+        pairs = zip(at_reset, sigmas[0], strict=True)
+        bias, yaw = (np.where(np.isnan(a), start, a) for a, start in pairs)
+        ratio = (bias * DEG_PER_H / (rate_n * yaw * DEG)) ** 2
+        most = np.maximum(most, yaw * DEG * ratio / (1 + ratio))
+    return most
+
+
+def _earth_rate(model: str, rate_deg_per_h: float | None) -> float:
+    """Return the rate of an Earth model by its name in a study, rad/s."""
+    return earth.WGS84_RATE if model == "wgs84" else (rate_deg_per_h or 0.0) * DEG_PER_H
+
+
+def _require_floor(study: Study) -> None:
+    """Refuse a study that is judged from a bias floor if some run has none.
+
+    The resets of a trigger are not known yet; draws that differ are examined if they are few.
+
+    Raises:
+        InputError: names the method.
+    """
+    if success_criteria(study).from_truth or study.is_recorded:
+        return
+    draws = np.arange(min(study.n_draws, 1 + _MOST_DRAWS // study.n_variants))
+    variants = np.tile(np.arange(study.n_variants), len(draws))
+    last_s = last_scheduled_reset_s(study)[variants]
+    conditions = floor_conditions(study, np.repeat(draws, study.n_variants), variants, last_s)
+    floors = has_floor(conditions)
+    if floors.all():
+        return
+    run = int(np.argmin(floors))
+    method = study.values("method")[variants[run]]
+    why = "has no bias floor on this base"
+    if conditions.turned[run]:
+        why = "has no bias floor on a base that is turned"
+    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
+        why = (
+            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
+        )
+    raise InputError(
+        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
+        f" {why} (variant {variants[run]}; use 'truth')"
+    )
+
+
+class HiddenNorth(NamedTuple):
+    """The run whose level gyro bias most exceeds the north component of the Earth rate.
+
+    Attributes:
+        bias_deg_per_h: its level gyro bias, averaged over the motion.
+        rate_deg_per_h: Omega cos L.
+        runs: number of runs whose bias exceeds their rate.
+        of_runs: number of runs examined: all, or those of the first 4,096 draws.
+    """
+
+    bias_deg_per_h: float
+    rate_deg_per_h: float
+    runs: int
+    of_runs: int
+
+    def __str__(self) -> str:
+        """Return a warning in one sentence."""
+        return (
+            f"the level gyro bias is up to {self.bias_deg_per_h:.3g} deg/h, the level part of the"
+            f" Earth rate {self.rate_deg_per_h:.3g} deg/h: {self.runs:,} of {self.of_runs:,} runs"
+            " cannot find north (status no_north)"
+        )
+
+
+def hidden_north(study: Study) -> HiddenNorth | None:
+    """Return the worst run whose level gyro bias exceeds Omega cos L, None if there is none.
+
+    Such a run cannot find north, since the measured rate may point anywhere. The gyro biases are
+    averaged over the motion, as in its bias floor; turns average them out.
+
+    Args:
+        study: checked study; the biases of a recorded one are unknown.
+    """
+    if study.is_recorded:
+        return None
+    earth_keys = ("earth", "latitude_deg", "earth_rate_deg_per_h")
+    keys = ("gyro_bias_deg_per_h", *MotionSection.model_fields, *earth_keys)
+    draws = min(study.n_draws, _MOST_DRAWS)
+    drawn = sampling.drawn_values(study, draws)
+    drawn = {key: values for key, values in drawn.items() if key in keys}
+    codes, points = study.resolved.column(*keys)
+    worst, runs = (0.0, 0.0, 0.0), 0
+    for values, count in zip(points, np.bincount(codes, minlength=len(points)), strict=True):
+        point = dict(zip(keys, values, strict=True)) | drawn
+        if point["turn_times_s"] or point["attitude_file"]:
+            continue
+        biases, rates = _level_bias(point, draws if drawn else 1)
+        hidden = biases > rates
+        runs += int(count) * int(hidden.sum()) * (draws // len(hidden))
+        at = int(np.argmax(biases / rates))
+        if hidden[at]:
+            worst = max(worst, (biases[at] / rates[at], float(biases[at]), float(rates[at])))
+    bias, rate = (rad_per_s / DEG_PER_H for rad_per_s in worst[1:])
+    return HiddenNorth(bias, rate, runs, draws * study.n_variants) if runs else None
+
+
+def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return level gyro bias and Omega cos L at a point of a sweep, rad/s, (draws,).
+
+    A bias below Omega cos L as a whole is returned in place of its level part.
+    """
+    rate = _earth_rate(values["earth"], values["earth_rate_deg_per_h"])
+    rate_n = np.broadcast_to(rate * np.cos(np.asarray(values["latitude_deg"], float) * DEG), draws)
+    bias = np.broadcast_to(read_errors(values.get, 1.0, 1.0).gyro_bias, (draws, 3))
+    level = np.linalg.norm(bias, axis=-1)
+    motion = jax.tree.map(lambda a: np.broadcast_to(a, draws), read_sways(values.get))
+    doubtful = np.flatnonzero(level > rate_n)
+    for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
+        here = jax.tree.map(lambda a, block=block: a[block], motion)
+        turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
+        level[block] = np.hypot(turned[:, 0], turned[:, 1])
+    return level, rate_n
