@@ -90,11 +90,11 @@ def compass_group(record_s: float | None = None) -> Batch:
 
 def remove_noise(group: Batch) -> Batch:
     """The group without sensor noise."""
-    model, spec = group.environment.sensors, group.spec
-    quiet = model.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
+    environment = group.environment
+    quiet = environment.errors._replace(gyro_noise=np.zeros(3), accel_noise=np.zeros(3))
     return group._replace(
-        spec=spec._replace(sensors=spec.sensors._replace(noisy=False)),
-        environment=group.environment._replace(sensors=model._replace(errors=quiet)),
+        spec=group.spec._replace(noisy=False),
+        environment=environment._replace(errors=quiet),
     )
 
 

@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from sinsjax.analysis import summarise
     from sinsjax.arena.export import export_study
     from sinsjax.arena.score import Score, score_results
+    from sinsjax.arena.simulated_record import simulated_record
     from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.one_run import one_run
-    from sinsjax.engine.simulated_record import simulated_record
     from sinsjax.errors import InputError, StudyWarning
     from sinsjax.execution.directory import read_manifest
     from sinsjax.execution.information import information_bound
@@ -113,7 +113,7 @@ _HOMES = {
     "arena.export": ("export_study",),
     "arena.score": ("Score", "score_results"),
     "bounds.turn_planner": ("TurnChoice", "plan_turns"),
-    "engine.simulated_record": ("simulated_record",),
+    "arena.simulated_record": ("simulated_record",),
     "engine.one_run": ("one_run",),
     "errors": ("InputError", "StudyWarning"),
     "execution.directory": ("read_manifest",),

@@ -34,7 +34,7 @@ from sinsjax.arena import given
 from sinsjax.arena.frames import BODY_AXES, FRAMES, to_angles, to_quaternion
 from sinsjax.arena.readme import RECORDS, describe_export
 from sinsjax.arena.runs import ProgramRuns, check_simulated
-from sinsjax.engine.simulated_record import simulated_records
+from sinsjax.arena.simulated_record import simulated_records
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path

@@ -132,7 +132,7 @@ def _true_attitudes(spec: ProgramSpec, environment: Environment, tile: Tiles) ->
     runs = set_up(spec, environment, tile)
     numbers, attitudes = runs.intervals()
     if attitudes is None:
-        look_up = partial(stored_attitude, environment.truth, tile.draws)
+        look_up = partial(stored_attitude, environment, tile.draws)
         attitudes = jax.vmap(look_up)(numbers)
     turns = runs.sensors.housing_turns(spec.intervals)
     if turns is None:

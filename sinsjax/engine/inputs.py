@@ -6,7 +6,6 @@ are the numbers of one run. Fields of a draw that are None are those of the envi
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -17,9 +16,10 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.methods.floors import MeanBiases, mean_biases
 from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
-from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.strapdown.base_motion import IdealSample
+from sinsjax.strapdown import base_motion, earth
+from sinsjax.strapdown.base_motion import IdealSample, Motion, Nodes
 from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
 # What decides the program
@@ -39,24 +39,6 @@ class CoarseStage(NamedTuple):
     replays: bool
 
 
-class SensorProgram(NamedTuple):
-    """The part of a program that simulates the sensors.
-
-    Attributes:
-        noisy: whether the sensors have white noise.
-        distorted: whether they have scale factor errors or misaligned axes.
-        sways: whether a base drawn for each draw sways or is turned; a still one is measured once.
-        kept: samples per draw that are made once and kept, when passes read them in both
-            directions and each sample depends on those before it; 0 to make samples as they are
-            read.
-    """
-
-    noisy: bool = False
-    distorted: bool = False
-    sways: bool = True
-    kept: int = 0
-
-
 class ProgramSpec(NamedTuple):
     """The choices that decide a compiled program; hashable.
 
@@ -66,7 +48,12 @@ class ProgramSpec(NamedTuple):
         interval_samples: samples of an interval between two outputs.
         intervals: of a run, which has intervals * interval_samples samples.
         curves: whether the observations at the ends of all intervals are returned.
-        sensors: see `SensorProgram`.
+        noisy: whether the sensors have white noise.
+        distorted: whether they have scale factor errors or misaligned axes.
+        sways: whether a base drawn for each draw sways or is turned; a still one is measured once.
+        kept: samples per draw that are made once and kept, when passes read them in both
+            directions and each sample depends on those before it; 0 to make samples as they are
+            read.
         passes: how the stored record is read: "once", forward and backward in turn ("alternate"),
             or forward every time ("rewind").
         coarse: the stage before the method's own; None if there is none.
@@ -78,7 +65,10 @@ class ProgramSpec(NamedTuple):
     interval_samples: int
     intervals: int
     curves: bool
-    sensors: SensorProgram = SensorProgram()
+    noisy: bool = False
+    distorted: bool = False
+    sways: bool = True
+    kept: int = 0
     passes: Literal["once", "alternate", "rewind"] = "once"
     coarse: CoarseStage | None = None
     stacks: bool = True
@@ -113,64 +103,44 @@ class ProgramSpec(NamedTuple):
 # What runs share
 
 
-class SensorModel(NamedTuple):
-    """The base and the sensors that all runs share.
-
-    Attributes:
-        increments: (T, 6) the stored record, ideal or measured, rad and m/s; None if increments are
-            made as a run proceeds, since all together would fill the memory.
-        errors: of the sensors.
-        seed: of all noise.
-        motion: of the base, if draws differ, no increments are stored, or the housing rotates.
-        axes: (T, 9) axes of n in b over the stored samples, if disturbances need them.
-        disturbances: random processes of base and sensors.
-    """
-
-    increments: Array | None
-    errors: sensors.SensorErrors
-    seed: Count
-    motion: base_motion.Motion | None = None
-    axes: Array | None = None
-    disturbances: Disturbances = Disturbances()
-
-
-class Truth(NamedTuple):
-    """The true or reference attitude.
-
-    Attributes:
-        attitudes: (rows, intervals, 4) quaternions at the ends of intervals; NaN if unknown.
-        times: (intervals,) these ends by the clock of the stored record, s; None if draws have no
-            motion of their own.
-    """
-
-    attitudes: Array
-    times: Array | None = None
-
-
 class Environment(NamedTuple):
     """Everything that the runs of a program share.
 
     Attributes:
         site: Earth and place.
-        sensors: base and sensors.
-        truth: true attitudes.
-        criteria: thresholds and times by which runs are judged.
+        errors: of the sensors.
         biases: mean sensor biases in n.
+        seed: of all noise.
+        criteria: thresholds and times by which runs are judged.
         pass_intervals: of a pass; without effect on a record that is read once.
+        increments: (T, 6) the stored record, ideal or measured, rad and m/s; None if increments are
+            made as a run proceeds, since all together would fill the memory.
+        attitudes: (rows, intervals, 4) true or reference attitudes at the ends of intervals,
+            quaternions; NaN if unknown.
+        end_times: (intervals,) these ends by the clock of the stored record, s; None if draws have
+            no motion of their own.
+        motion: of the base, if draws differ, no increments are stored, or the housing rotates.
+        axes: (T, 9) axes of n in b over the stored samples, if disturbances need them.
+        disturbances: random processes of base and sensors.
     """
 
     site: Site
-    sensors: SensorModel
-    truth: Truth
-    criteria: Criteria
+    errors: SensorErrors
     biases: MeanBiases
+    seed: Count
+    criteria: Criteria
     pass_intervals: Count
+    increments: Array | None
+    attitudes: Array
+    end_times: Array | None = None
+    motion: Motion | None = None
+    axes: Array | None = None
+    disturbances: Disturbances = Disturbances()
 
     @property
     def dtype(self) -> jnp.dtype:
         """Type of all numbers of a run."""
-        stored = self.sensors.increments
-        return jnp.result_type(self.truth.attitudes if stored is None else stored)
+        return jnp.result_type(self.attitudes if self.increments is None else self.increments)
 
 
 def aligned_record(samples: int) -> np.ndarray:
@@ -184,62 +154,44 @@ def aligned_record(samples: int) -> np.ndarray:
 # What belongs to a draw, and to a run
 
 
-class InitialErrors(NamedTuple):
-    """Initial errors of a draw in place of those of `RunParams`; None for those of the run.
-
-    Attributes:
-        phi: angles of the initial misalignment, rad.
-        ve: initial velocity east, m/s.
-        vn: initial velocity north, m/s.
-    """
-
-    phi: tuple[Scalar | None, Scalar | None, Scalar | None] = (None, None, None)
-    ve: Scalar | None = None
-    vn: Scalar | None = None
-
-
-class DerivedInputs(NamedTuple):
-    """Inputs that follow from those drawn; None for those of the environment.
-
-    Attributes:
-        site: at the latitude of the draw.
-        biases: mean sensor biases in n.
-        rest: what ideal sensors measure on a base that does not sway.
-        nodes: integration nodes of a base that sways.
-    """
-
-    site: Site | None = None
-    biases: MeanBiases | None = None
-    rest: IdealSample | None = None
-    nodes: base_motion.Nodes | None = None
-
-
 class Draw(NamedTuple):
     """One realisation of everything random: noise, and the numbers that a study draws.
+
+    Of the fields after ``q``, None stands for the value of the run or of the environment.
 
     Attributes:
         draw_id: number that decides its noise.
         start: first sample in the stored record; one number if many draws have the same.
-        row: row of `Truth.attitudes`.
+        row: row of `Environment.attitudes`.
         q: attitude before the initial misalignment is added: true, or coarsely aligned.
-        initial: initial errors.
+        phi: angles of the initial misalignment, rad.
+        ve: initial velocity east, m/s.
+        vn: initial velocity north, m/s.
         errors: of the sensors.
         motion: of the base, whose increments are made as a run proceeds.
         latitude: of the base, which then has a motion too, rad.
         disturbances: random processes of base and sensors.
-        derived: inputs that follow from these.
+        site: derived from the latitude.
+        biases: mean sensor biases in n, derived from errors and motion.
+        rest: what ideal sensors measure on a base that does not sway, derived from its motion.
+        nodes: integration nodes of a base that sways, likewise.
     """
 
     draw_id: Count
     start: Count
     row: Count
     q: Quat
-    initial: InitialErrors = InitialErrors()
-    errors: sensors.SensorErrors | None = None
-    motion: base_motion.Motion | None = None
+    phi: tuple[Scalar | None, Scalar | None, Scalar | None] = (None, None, None)
+    ve: Scalar | None = None
+    vn: Scalar | None = None
+    errors: SensorErrors | None = None
+    motion: Motion | None = None
     latitude: Scalar | None = None
     disturbances: Disturbances | None = None
-    derived: DerivedInputs = DerivedInputs()
+    site: Site | None = None
+    biases: MeanBiases | None = None
+    rest: IdealSample | None = None
+    nodes: Nodes | None = None
 
 
 class RunParams(NamedTuple):
@@ -274,58 +226,38 @@ class Tiles(NamedTuple):
     params: RunParams
 
 
-class DrawInputs(NamedTuple):
-    """All inputs of a draw: its own, or those of the environment.
+def complete(environment: Environment, draw: Draw) -> Any:
+    """Return a draw with site, sensor errors, motion, disturbances and biases of the environment.
 
-    Attributes:
-        site: Earth and place.
-        errors: of the sensors.
-        motion: of the base; None if it does not matter beyond its increments.
-        disturbances: random processes of base and sensors.
-        biases: mean sensor biases in n.
+    Its own have precedence; the motion may be None, where it does not matter beyond increments.
     """
-
-    site: Site
-    errors: sensors.SensorErrors
-    motion: base_motion.Motion | None
-    disturbances: Disturbances
-    biases: MeanBiases
+    fields = ("site", "errors", "motion", "disturbances", "biases")
+    missing = (field for field in fields if getattr(draw, field) is None)
+    return draw._replace(**{field: getattr(environment, field) for field in missing})
 
 
-def inputs_of(environment: Environment, draw: Draw) -> DrawInputs:
-    """Return all inputs of a draw, whose derived ones are known."""
-    shared, derived = environment.sensors, draw.derived
-    return DrawInputs(
-        environment.site if derived.site is None else derived.site,
-        shared.errors if draw.errors is None else draw.errors,
-        shared.motion if draw.motion is None else draw.motion,
-        shared.disturbances if draw.disturbances is None else draw.disturbances,
-        environment.biases if derived.biases is None else derived.biases,
-    )
+def derive_inputs(spec: ProgramSpec, environment: Environment, draws: Draw) -> Draw:
+    """Return draws with what follows from their own numbers."""
+    if draws.errors is None and draws.motion is None and draws.latitude is None:
+        return draws
 
-
-def derive_inputs(spec: ProgramSpec, environment: Environment, draw: Draw) -> DerivedInputs:
-    """Return the inputs that follow from the numbers of one draw."""
-    if draw.errors is None and draw.motion is None and draw.latitude is None:
-        return DerivedInputs()
-    site = environment.site
-    if draw.latitude is not None:
-        site = Site(site.earth, earth.place(site.earth, draw.latitude), draw.latitude)
-    given = inputs_of(environment, draw)
-    assert given.motion is not None
-    rest = nodes = None
-    if draw.motion is not None:
+    def derive(draw: Draw) -> dict[str, Any]:
+        derived: dict[str, Any] = {}
+        if draw.latitude is not None:
+            place = earth.place(environment.site.earth, draw.latitude)
+            derived["site"] = Site(environment.site.earth, place, draw.latitude)
+        whole = complete(environment, draw._replace(**derived))
+        derived["biases"] = mean_biases(whole.errors, whole.motion)
+        if draw.motion is None:
+            return derived
         rate_hz = 1 / spec.options.dt
         nodes = base_motion.integration_nodes(draw.motion, rate_hz)
-        if not spec.sensors.sways:
-            rest = base_motion.ideal_sample(draw.motion, nodes, site.place, rate_hz, 0.0)
-            nodes = None
-    return DerivedInputs(
-        None if draw.latitude is None else site,
-        mean_biases(given.errors, given.motion),
-        rest,
-        nodes,
-    )
+        if spec.sways:
+            return derived | {"nodes": nodes}
+        rest = base_motion.ideal_sample(draw.motion, nodes, whole.site.place, rate_hz, 0.0)
+        return derived | {"rest": rest}
+
+    return draws._replace(**map_draws(derive, draws))
 
 
 def map_draws(
@@ -345,13 +277,6 @@ def map_draws(
     return jax.vmap(function, in_axes, out_axes)(draws, *others)
 
 
-def stored_attitude(truth: Truth, draw: Draw, number: Array) -> Quat:
+def stored_attitude(environment: Environment, draw: Draw, number: Array) -> Quat:
     """Return the stored attitude of the base at the end of an interval; NaN if unknown."""
-    return Quat(*jnp.moveaxis(jnp.asarray(truth.attitudes)[draw.row, number], -1, 0))
-
-
-def computed_attitudes(truth: Truth, draw: Draw, intervals: int) -> Quat:
-    """Return the attitudes of a base of the draw's own, at the ends of intervals."""
-    assert draw.motion is not None
-    times = jnp.asarray(truth.times)[:intervals]
-    return jax.vmap(partial(base_motion.attitude, draw.motion))(times)
+    return Quat(*jnp.moveaxis(jnp.asarray(environment.attitudes)[draw.row, number], -1, 0))

@@ -30,10 +30,6 @@ class Observation(NamedTuple):
     yaw: Scalar
 
 
-OBSERVATION_FIELDS = 9
-"""Numbers of an `Observation`."""
-
-
 class Criteria(NamedTuple):
     """Thresholds and times by which the runs of a study are judged.
 
@@ -80,7 +76,7 @@ class Metrics(NamedTuple):
 
     Attributes:
         outside_until: (2, B) for each band about the floor, and for each about the truth, end of
-            the last record interval outside it, s.
+            the last interval outside it, s.
         window: see `Window`.
         above: (3,) output times at which P_UU exceeded phi_u^2, at which it exceeded
             (phi_u - floor)^2, and phi_u^2 again in the steady process.
@@ -146,21 +142,18 @@ def observe(
 
 
 def pack_observation(now: Observation) -> Array:
-    """Return an observation as one array (fields, ...), to be stacked record by record.
-
-    XLA:CPU would copy several stacked arrays whole at every record.
-    """
+    """Return an observation as one array (fields, ...): of several, XLA would copy each whole."""
     return jnp.stack(jax.tree.leaves(now))
 
 
 def unpack_observations(rows: Array) -> Observation:
-    """Return observations with leaves (records, ...) from rows (records, fields, ...)."""
-    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(OBSERVATION_FIELDS))
+    """Return observations with leaves (intervals, ...) from rows (intervals, fields, ...)."""
+    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(rows.shape[1]))
     return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
 
 
 def start(criteria: Criteria, zero: Scalar) -> Metrics:
-    """Return the accumulators before the first record, in zeros of the given type."""
+    """Return the accumulators before the first interval, in zeros of the given type."""
     nothing = Vec3(zero, zero, zero)
     six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
     window = Window(zero, six, six, six)

@@ -5,8 +5,8 @@ compensated, the method steps sample by sample, and its loop is closed whenever 
 is due; at the output time the corrected attitude is compared with the truth. After the last
 interval the run has its outcome.
 
-A run alone is a tile of one lane. The functions at the end are those of one run; `TileRuns` maps
-them over the lanes of a tile, whose samples are made once per draw.
+A run alone is a tile of one lane. `RunFunctions` are those of one run; `TileRuns` maps them over
+the lanes of a tile, whose samples are made once per draw.
 """
 
 from collections.abc import Callable
@@ -20,17 +20,14 @@ from sinsjax.engine import metrics
 from sinsjax.engine.inputs import (
     Draw,
     Environment,
-    InitialErrors,
     ProgramSpec,
     RunParams,
     Tiles,
-    computed_attitudes,
     derive_inputs,
-    inputs_of,
     map_draws,
     stored_attitude,
 )
-from sinsjax.engine.metrics import Criteria, Metrics, Observation, Outcome
+from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.samples import SensorState, TileSensors
 from sinsjax.engine.stepping import Steps, take_samples
 from sinsjax.maths import rotations
@@ -47,7 +44,6 @@ from sinsjax.methods.method import (
 )
 from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.strapdown import base_motion
-from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
 
@@ -162,21 +158,122 @@ def _coarse_then_fine(runs: "TileRuns", start: TileState) -> tuple[Run, Array | 
     return run, None if rows is None else jnp.concatenate([rows, fine_rows[coarse.intervals :]])
 
 
-class TileRuns(NamedTuple):
-    """The runs of a tile: all that stays the same over them, and the functions of one run, mapped.
+class RunFunctions(NamedTuple):
+    """The functions of one run, in the order in which they are called.
 
     Attributes:
         spec: program.
         environment: shared by all runs.
-        method: of the program.
-        draws: with derived inputs, leaves (draws, ...).
+    """
+
+    spec: ProgramSpec
+    environment: Environment
+
+    @property
+    def method(self) -> Program:
+        """The functions of its method."""
+        return self.spec.program
+
+    def floor(self, params: RunParams, site: Site, biases: MeanBiases) -> BiasFloor:
+        """Return the bias floor at the end of the run; none if that of the method is not known."""
+        number = (self.spec.intervals - 1) // self.environment.pass_intervals
+        backward = (self.spec.passes == "alternate") & (number % 2 == 1)
+        end = RunEnd(float(self.spec.intervals * self.spec.interval_samples), backward)
+        if self.method.floor is None:
+            biases = jax.tree.map(jnp.zeros_like, biases)
+        return (self.method.floor or bias_floor)(params.method, site.place, biases, end)
+
+    def start(self, params: RunParams, site: Site, q: Quat) -> Run:
+        """Return the run before its first sample, from the attitude before its misalignment."""
+        nav = initial_solution(site, rotations.misalign(params.phi, q), params.ve, params.vn)
+        first = metrics.start(self.environment.criteria, nav.longitude)
+        return Run(self.method.init(params.method, nav), first)
+
+    def start_after_coarse(
+        self, params: RunParams, site: Site, q: Quat, rotation: BodyRotation | None
+    ) -> Any:
+        """Return the state of the method after the coarse stage: at rest, with P0.
+
+        Args:
+            params: of the run.
+            site: Earth and place.
+            q: attitude at the end of the coarse stage.
+            rotation: of the body over that stage; None without a replay.
+        """
+        coarse, zero = self.spec.coarse, jnp.zeros_like(params.ve)
+        assert coarse is not None
+        samples = zero + float(coarse.intervals * self.spec.interval_samples)
+        if rotation is not None and coarse.replays:
+            time = samples * self.spec.options.dt
+            q = passes.rewind_attitude(q, rotation, site.place, time, None)
+            return self.method.init(params.method, initial_solution(site, q, zero, zero))
+        nav = initial_solution(site, rotations.normalise(q), zero, zero)
+        state = self.method.init(params.method, nav)
+        begin_after = self.method.passes and self.method.passes.begin_after
+        return begin_after(state, samples) if begin_after else state
+
+    def reverse(self, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
+        """Return the state of the method after a direction reversal that opens a pass."""
+        assert self.method.passes is not None
+        before = passes.site_of_pass(site, ~backward)
+        return self.method.passes.reverse(params.method, before, state)
+
+    def rewind(self, params: RunParams, site: Site, state: Any, rotation: BodyRotation) -> Any:
+        """Return the state that starts the record again, from that at the end of a pass."""
+        reading, zero = self.method.passes, jnp.zeros_like(params.ve)
+        assert reading is not None and reading.rewind is not None
+        interval_s = self.spec.interval_samples * self.spec.options.dt
+        time = jnp.asarray(self.environment.pass_intervals, zero.dtype) * interval_s
+        bias = reading.gyro_bias and reading.gyro_bias(state)
+        q = passes.rewind_attitude(self.method.attitude(state), rotation, site.place, time, bias)
+        return reading.rewind(params.method, initial_solution(site, q, zero, zero), state)
+
+    def observe(self, run: Run, q_true: Quat, floor: Scalar, n: Scalar) -> Run:
+        """Return the run after its observation at an output time.
+
+        Args:
+            run: at that time.
+            q_true: true or reference attitude, NaN if unknown.
+            floor: bias floor of phi_u, rad.
+            n: number of its last sample, from 1.
+        """
+        state, criteria = self.method.normalise(run.state), self.environment.criteria
+        attitude, covariance = self.method.attitude(state), self.covariance(state)
+        now = metrics.observe(q_true, attitude, covariance, finds_heading=self.spec.finds_heading)
+        time = n * self.spec.options.dt
+        so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=time)
+        return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
+
+    def finish(self, run: Run, site: Site, floor: BiasFloor) -> Outcome:
+        """Return the outcome of the run after its last interval."""
+        results = None if self.method.results is None else self.method.results(site, run.state)
+        return metrics.finish(run.metrics, self.covariance(run.state), floor, results)
+
+    def covariance(self, state: Any) -> AttitudeCovariance:
+        """Return the covariance of the attitude; NaN of a method without one."""
+        if self.method.covariance is None:
+            return unknown_covariance(state.nav.ve)
+        return self.method.covariance(state)
+
+
+def initial_solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
+    """Return the navigation solution at the beginning of the record."""
+    zero = jnp.zeros_like(ve)
+    return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
+
+
+class TileRuns(NamedTuple):
+    """The runs of a tile: all that stays the same over them, and the functions of one run, mapped.
+
+    Attributes:
+        one: functions of one run.
+        sensors: of the draws.
         row: (lanes,) the draw of each run.
         params: with the initial errors of the draws, leaves (lanes, ...).
         q: attitude of each run before its initial misalignment, leaves (lanes,), or () if all
             runs share it.
         site: leaves (lanes,), or () if all runs share it.
         floor: bias floor of each run, leaves (lanes,).
-        sensors: of the draws.
         record: kept increments of the draws, leaves (samples, draws); None to measure.
         turns: rotations from the housing to the base at the boundaries of the intervals of kept
             increments, leaves (intervals + 1, draws); None if it does not rotate.
@@ -184,20 +281,32 @@ class TileRuns(NamedTuple):
         by_event: see `take_samples`.
     """
 
-    spec: ProgramSpec
-    environment: Environment
-    method: Program
-    draws: Draw
+    one: RunFunctions
+    sensors: TileSensors
     row: Array
     params: RunParams
     q: Quat
     site: Site
     floor: BiasFloor
-    sensors: TileSensors
     record: Increments | None = None
     turns: Quat | None = None
     curve_lanes: int | None = None
     by_event: bool = True
+
+    @property
+    def spec(self) -> ProgramSpec:
+        """Program of the runs."""
+        return self.one.spec
+
+    @property
+    def environment(self) -> Environment:
+        """What all runs share."""
+        return self.one.environment
+
+    @property
+    def draws(self) -> Draw:
+        """Draws with derived inputs, leaves (draws, ...)."""
+        return self.sensors.draws
 
     @property
     def draw_axis(self) -> int | None:
@@ -207,27 +316,28 @@ class TileRuns(NamedTuple):
     @property
     def site_axis(self) -> int | None:
         """Axis of the site; None if all runs share it."""
-        return None if self.draws.derived.site is None else self.draw_axis
+        return None if self.draws.site is None else self.draw_axis
 
     def with_program(self, spec: ProgramSpec) -> "TileRuns":
         """Return the same runs with another method and way of reading the record."""
-        return self._replace(spec=spec, method=spec.program)
+        return self._replace(one=self.one._replace(spec=spec))
 
     def intervals(self) -> Intervals:
         """Return all intervals of the runs."""
         q_true, count = None, self.spec.intervals
         if self.draws.motion is not None:
-            compute = partial(computed_attitudes, self.environment.truth, intervals=count)
-            q_true = map_draws(compute, self.draws, out_axes=1)
+            times = jnp.asarray(self.environment.end_times)[:count]
+            q_true = map_draws(
+                lambda draw: jax.vmap(partial(base_motion.attitude, draw.motion))(times),
+                self.draws,
+                out_axes=1,
+            )
         return Intervals(jnp.arange(count), q_true)
 
     def start(self) -> Run:
         """Return the runs before their first sample."""
-        over_runs = jax.vmap(
-            partial(start_run, self.method, self.environment.criteria),
-            in_axes=(self.site_axis, 0, self.draw_axis),
-        )
-        return over_runs(self.site, self.params, self.q)
+        start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.draw_axis))
+        return start(self.params, self.site, self.q)
 
     def read(self, number: Count) -> PassReading:
         """Return the samples that an interval reads."""
@@ -241,40 +351,29 @@ class TileRuns(NamedTuple):
     def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
         """Return the states of methods and sensors as an interval begins, which may open a pass."""
         state, sensor_state = tile.run.state, tile.sensors
-        if reading.opens_pass is None or self.method.passes is None:  # such a method has one pass
+        if reading.opens_pass is None or self.one.method.passes is None:  # it has one pass
             return state, sensor_state
         if reading.backward is not None:
-            reverse = jax.vmap(
-                partial(reverse_state, self.method), in_axes=(0, self.site_axis, 0, None)
-            )
+            reverse = jax.vmap(self.one.reverse, in_axes=(0, self.site_axis, 0, None))
             changed = reverse(self.params, self.site, state, reading.backward)
             return select_tree(reading.opens_pass, changed, state), sensor_state
-        interval_s = self.spec.interval_samples * self.spec.options.dt
-        pass_s = jnp.asarray(self.environment.pass_intervals, self.environment.dtype) * interval_s
-        rewind = jax.vmap(
-            partial(rewind_state, self.method),
-            in_axes=(None, 0, self.site_axis, 0, self.draw_axis),
-        )
-        changed = rewind(pass_s, self.params, self.site, state, self.to_runs(sensor_state.rotation))
+        rewind = jax.vmap(self.one.rewind, in_axes=(0, self.site_axis, 0, self.draw_axis))
+        changed = rewind(self.params, self.site, state, self.to_runs(sensor_state.rotation))
         return select_tree(
             reading.opens_pass, (changed, self.sensors.start()), (state, sensor_state)
         )
 
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
         """Return the states of the method as fine alignment begins."""
-        coarse = self.spec.coarse
-        assert coarse is not None
-        samples = float(coarse.intervals * self.spec.interval_samples)
-        after_coarse = jax.vmap(
-            partial(start_after_coarse, self.method, samples, self.spec.options.dt, coarse.replays),
-            in_axes=(0, self.site_axis, 0, self.draw_axis),
+        after = jax.vmap(
+            self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.draw_axis)
         )
         q = jax.vmap(self.spec.of_coarse_stage().program.attitude)(coarse_state)
-        return after_coarse(self.params, self.site, q, self.to_runs(rotation))
+        return after(self.params, self.site, q, self.to_runs(rotation))
 
     def steps(self, reading: PassReading, number: Count) -> Steps:
         """Return the effect of the samples of an interval on the state of all runs."""
-        method, params, axis = self.method, self.params.method, self.site_axis
+        method, params, axis = self.one.method, self.params.method, self.site_axis
         site = passes.site_of_pass(self.site, reading.backward)
         done = number * self.spec.interval_samples  # samples before this interval
         step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draw_axis, None))
@@ -334,18 +433,11 @@ class TileRuns(NamedTuple):
         number, q_true = interval
         run = run._replace(state=self.fit_blocks(run.state, number))
         if q_true is None:
-            q_true = stored_attitude(self.environment.truth, self.draws, number)
+            q_true = stored_attitude(self.environment, self.draws, number)
         if turn is not None:
             q_true = rotations.multiply(q_true, turn)
-        observe = partial(
-            observe_run,
-            self.method,
-            self.environment.criteria,
-            self.spec.options.dt,
-            self.spec.finds_heading,
-        )
-        over_runs = jax.vmap(observe, in_axes=(0, self.draw_axis, 0, None))
-        return over_runs(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
+        observe = jax.vmap(self.one.observe, in_axes=(0, self.draw_axis, 0, None))
+        return observe(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
 
     def end_of(self, number: Count) -> Scalar:
         """Return the number of the last sample of an interval, from 1."""
@@ -353,7 +445,7 @@ class TileRuns(NamedTuple):
 
     def fit_blocks(self, state: Any, number: Count) -> Any:
         """Return the state of a method after its fit at the end of an interval, if it has."""
-        blocks = self.method.block_fit
+        blocks = self.one.method.block_fit
         if blocks is None:
             return state
         end, times = self.end_of(number), self.environment.criteria.report_samples
@@ -376,8 +468,7 @@ class TileRuns(NamedTuple):
 
     def finish(self, run: Run) -> Outcome:
         """Return the outcomes of the runs after their last interval."""
-        over_runs = jax.vmap(partial(finish_run, self.method), in_axes=(self.site_axis, 0, 0))
-        return over_runs(self.site, run, self.floor)
+        return jax.vmap(self.one.finish, in_axes=(0, self.site_axis, 0))(run, self.site, self.floor)
 
     def to_runs(self, tree: Any) -> Any:
         """Return what belongs to draws for each run."""
@@ -386,30 +477,38 @@ class TileRuns(NamedTuple):
 
 def set_up(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
-    draws, method, axis = tile.draws, spec.program, _draw_axis(tile.draws)
-    to_runs = partial(broadcast_to_runs, tile.row)
-    derived = map_draws(partial(derive_inputs, spec, environment), draws)
-    draws = draws._replace(derived=derived)
-    of_runs = inputs_of(environment, draws._replace(derived=to_runs(derived)))
-    params = jax.vmap(with_initial_errors, in_axes=(0, axis))(tile.params, to_runs(draws.initial))
-    sensors = TileSensors(spec, environment, draws)
-    q = draws.q
+    draws, one = derive_inputs(spec, environment, tile.draws), RunFunctions(spec, environment)
+    axis, to_runs = _draw_axis(draws), partial(broadcast_to_runs, tile.row)
+    params = jax.vmap(with_initial_errors, in_axes=(0, axis, axis, axis))(
+        tile.params, *map(to_runs, (draws.phi, draws.ve, draws.vn))
+    )
+    sensors, q = TileSensors(spec, environment, draws), draws.q
     if draws.motion is not None:
         q = map_draws(lambda draw: base_motion.attitude(draw.motion, 0.0), draws)
     if (housing := sensors.start().housing) is not None and housing.turn is not None:
         q = rotations.multiply(q, housing.turn)
-    end, find_floor = end_of_run(spec, environment.pass_intervals), method.floor or _no_floor
-    floor = jax.vmap(
-        lambda params, site, biases: find_floor(params.method, site.place, biases, end),
-        in_axes=(0, *(None if a is None else axis for a in (derived.site, derived.biases))),
-    )(params, of_runs.site, of_runs.biases)
+    site = environment.site if draws.site is None else to_runs(draws.site)
+    biases = environment.biases if draws.biases is None else to_runs(draws.biases)
+    axes = (None if a is None else axis for a in (draws.site, draws.biases))
+    floor = jax.vmap(one.floor, in_axes=(0, *axes))(params, site, biases)
     record = turns = None
-    if kept := spec.sensors.kept:
-        record, turns = sensors.make_record(), sensors.housing_turns(kept // spec.interval_samples)
-    return TileRuns(
-        *(spec, environment, method, draws, tile.row, params, to_runs(q), of_runs.site, floor),
-        *(sensors, record, turns),
-    )
+    if spec.kept:
+        record = sensors.make_record()
+        turns = sensors.housing_turns(spec.kept // spec.interval_samples)
+    return TileRuns(one, sensors, tile.row, params, to_runs(q), site, floor, record, turns)
+
+
+def with_initial_errors(
+    params: RunParams, phi: tuple[Scalar | None, ...], ve: Scalar | None, vn: Scalar | None
+) -> RunParams:
+    """Return the params of a run with the initial errors that its draw has."""
+    angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, phi, strict=True)))
+    if params.euler is not None:
+        vector = rotations.euler_vector(*angles)
+        pairs = zip(vector, angles, strict=True)
+        angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
+    ve, vn = params.ve if ve is None else ve, params.vn if vn is None else vn
+    return params._replace(phi=angles, ve=ve, vn=vn)
 
 
 def _draw_axis(draws: Draw) -> int | None:
@@ -447,144 +546,3 @@ def map_stacked_tiles(
     draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
     axes: Any = (draws, None, None)
     return jax.vmap(run, in_axes=(Tiles(*axes),))
-
-
-# The functions of one run
-
-
-def with_initial_errors(params: RunParams, initial: InitialErrors) -> RunParams:
-    """Return the params of a run with the initial errors of its draw."""
-    angles = Vec3(*(a if b is None else b for a, b in zip(params.phi, initial.phi, strict=True)))
-    if params.euler is not None:
-        vector = rotations.euler_vector(*angles)
-        pairs = zip(vector, angles, strict=True)
-        angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
-    return params._replace(
-        phi=angles,
-        ve=params.ve if initial.ve is None else initial.ve,
-        vn=params.vn if initial.vn is None else initial.vn,
-    )
-
-
-def end_of_run(spec: ProgramSpec, pass_intervals: Count) -> RunEnd:
-    """Return the last sample of a run and the direction of its last pass."""
-    number = (spec.intervals - 1) // pass_intervals
-    backward = (spec.passes == "alternate") & (number % 2 == 1)
-    return RunEnd(float(spec.intervals * spec.interval_samples), backward)
-
-
-def initial_solution(site: Site, q: Quat, ve: Scalar, vn: Scalar) -> Navigation:
-    """Return the navigation solution at the beginning of the record."""
-    zero = jnp.zeros_like(ve)
-    return Navigation(q=q, ve=ve, vn=vn, latitude=site.latitude + zero, longitude=zero)
-
-
-def start_run(method: Program, criteria: Criteria, site: Site, params: RunParams, q: Quat) -> Run:
-    """Return a run before its first sample, from the attitude before its misalignment."""
-    q = rotations.misalign(params.phi, q)
-    nav = initial_solution(site, q, params.ve, params.vn)
-    return Run(method.init(params.method, nav), metrics.start(criteria, nav.longitude))
-
-
-def start_after_coarse(
-    method: Program,
-    samples: float,
-    dt: float,
-    replays: bool,
-    params: RunParams,
-    site: Site,
-    q: Quat,
-    rotation: BodyRotation | None,
-) -> Any:
-    """Return the state of a method after the coarse stage: at rest, with P0.
-
-    Args:
-        method: of fine alignment.
-        samples: length of the coarse stage.
-        dt: sample time, s.
-        replays: whether fine alignment starts at the first sample.
-        params: of the run.
-        site: Earth and place.
-        q: attitude at the end of the coarse stage.
-        rotation: of the body over the coarse stage; None without a replay.
-    """
-    zero = jnp.zeros_like(params.ve)
-    if not replays:
-        nav = initial_solution(site, rotations.normalise(q), zero, zero)
-        state = method.init(params.method, nav)
-        begin_after = method.passes and method.passes.begin_after
-        return begin_after(state, zero + samples) if begin_after else state
-    assert rotation is not None
-    q = passes.rewind_attitude(q, rotation, site.place, zero + samples * dt, None)
-    return method.init(params.method, initial_solution(site, q, zero, zero))
-
-
-def reverse_state(
-    method: Program, params: RunParams, site: Site, state: Any, backward: Flag
-) -> Any:
-    """Return the state of a method after a direction reversal that opens a pass."""
-    assert method.passes is not None
-    return method.passes.reverse(params.method, passes.site_of_pass(site, ~backward), state)
-
-
-def rewind_state(
-    method: Program,
-    pass_s: Scalar,
-    params: RunParams,
-    site: Site,
-    state: Any,
-    rotation: BodyRotation,
-) -> Any:
-    """Return the state that starts the record again, from that at the end of a pass."""
-    assert method.passes is not None and method.passes.rewind is not None
-    bias = method.passes.gyro_bias and method.passes.gyro_bias(state)
-    q = passes.rewind_attitude(method.attitude(state), rotation, site.place, pass_s, bias)
-    zero = jnp.zeros_like(params.ve)
-    return method.passes.rewind(params.method, initial_solution(site, q, zero, zero), state)
-
-
-def observe_run(
-    method: Program,
-    criteria: Criteria,
-    dt: float,
-    finds_heading: bool,
-    run: Run,
-    q_true: Quat,
-    floor: Scalar,
-    n: Scalar,
-) -> Run:
-    """Return a run after its observation at a output time, that of the n-th sample.
-
-    Args:
-        method: of the run.
-        criteria: by which it is judged.
-        dt: sample time, s.
-        finds_heading: whether the method finds a heading.
-        run: at the output time.
-        q_true: true or reference attitude, NaN if unknown.
-        floor: bias floor of phi_u, rad.
-        n: number of the sample.
-    """
-    state = method.normalise(run.state)
-    attitude, covariance = method.attitude(state), _covariance(method, state)
-    now = metrics.observe(q_true, attitude, covariance, finds_heading=finds_heading)
-    so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=n * dt)
-    return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
-
-
-def finish_run(method: Program, site: Site, run: Run, floor: BiasFloor) -> Outcome:
-    """Return the outcome of a run after its last interval."""
-    results = None if method.results is None else method.results(site, run.state)
-    return metrics.finish(run.metrics, _covariance(method, run.state), floor, results)
-
-
-def _covariance(method: Program, state: Any) -> AttitudeCovariance:
-    """Return the covariance of the attitude; NaN of a method without one."""
-    if method.covariance is None:
-        return unknown_covariance(state.nav.ve)
-    return method.covariance(state)
-
-
-def _no_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
-    """Return no floor, of a method whose floor is not known."""
-    return bias_floor(params, place, jax.tree.map(jnp.zeros_like, biases), end)

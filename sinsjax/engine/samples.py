@@ -13,15 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine.inputs import (
-    Draw,
-    DrawInputs,
-    Environment,
-    ProgramSpec,
-    SensorModel,
-    inputs_of,
-    map_draws,
-)
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
 from sinsjax.engine.stepping import Blocks
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
@@ -95,58 +87,57 @@ class DrawSensors(NamedTuple):
     draw: Draw
 
     @property
-    def inputs(self) -> DrawInputs:
-        """Site, sensor errors, motion and disturbances of the draw."""
-        return inputs_of(self.environment, self.draw)
+    def whole(self) -> Any:
+        """The draw with all that it shares with others."""
+        return complete(self.environment, self.draw)
 
     def start(self) -> SensorState:
         """Return the state before the first sample."""
         zero = jnp.zeros((), self.environment.dtype)
         zeros = Increments(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        inputs, shared = self.inputs, self.environment.sensors
-        begin = disturbances.initial_states(inputs.disturbances, shared.seed, self.draw.draw_id)
-        vibrating, moving = None, disturbances.housing_motion(inputs.disturbances, begin)
+        whole, seed = self.whole, self.environment.seed
+        begin = disturbances.initial_states(whole.disturbances, seed, whole.draw_id)
+        vibrating, moving = None, disturbances.housing_motion(whole.disturbances, begin)
         if moving is not None:
-            rate, lever = Vec3(zero, zero, zero), _lever_of_housing(inputs)
+            rate, lever = Vec3(zero, zero, zero), _lever_of_housing(whole)
             if lever is not None:
-                assert inputs.motion is not None
-                rate, _ = base_motion.rate_and_force(inputs.motion, inputs.site.place, zero)
+                rate, _ = base_motion.rate_and_force(whole.motion, whole.site.place, zero)
             vibrating = housing.start_housing(moving, lever, rate, zeros)
         rotation = None
         if self.spec.rewinds_attitude:
             rotation = passes.initial_rotation(self.spec.program, zero)
-        remainder = None if inputs.errors.gyro_quantum is None else zeros
+        remainder = None if whole.errors.gyro_quantum is None else zeros
         return SensorState(zeros, begin, vibrating, remainder, rotation)
 
     def measure(self, state: SensorState, sample: SampleInputs) -> Measured:
         """Return the increments of the next sample; zeros before the record, to compensate with."""
-        inputs, dt = self.inputs, self.spec.options.dt
+        whole, dt = self.whole, self.spec.options.dt
         exact = self.ideal_sample(sample.number) if sample.exact is None else sample.exact
         processes, disturbed = disturbances.advance_processes(
-            inputs.disturbances, state.processes, sample.driving, dt
+            whole.disturbances, state.processes, sample.driving, dt
         )
-        place = inputs.site.place
+        place = whole.site.place
         moved = disturbances.disturb_motion(exact, disturbed, place, dt)
         vibrating = state.housing
         if vibrating is not None and disturbed.housing is not None:
-            rigid, lever = exact._replace(increments=moved), _lever_of_housing(inputs)
+            rigid, lever = exact._replace(increments=moved), _lever_of_housing(whole)
             vibrating, moved = housing.sense_in_housing(
                 vibrating, rigid, disturbed.housing, lever, place, dt
             )
         now = sensors.measure_increments(
-            moved, inputs.errors, sample.normal, dt, distorted=self.spec.sensors.distorted
+            moved, whole.errors, sample.normal, dt, distorted=self.spec.distorted
         )
         now, remainder = disturbances.add_drifts(now, disturbed), state.remainder
         if remainder is not None:
-            now, remainder = sensors.quantise(now, inputs.errors, remainder)
+            now, remainder = sensors.quantise(now, whole.errors, remainder)
         state = state._replace(processes=processes, housing=vibrating, remainder=remainder)
         return Measured(self.zero_before_record(sample.number, now), state)
 
     def ideal_sample(self, n: Count) -> IdealSample:
         """Return what ideal sensors measure over sample n: stored, or on the draw's own base."""
-        draw, shared = self.draw, self.environment.sensors
-        if draw.derived.rest is not None:
-            return draw.derived.rest
+        draw, shared = self.draw, self.environment
+        if draw.rest is not None:
+            return draw.rest
         if draw.motion is None:
             at = draw.start + n
             stored = sensors.split_record_row(jnp.asarray(shared.increments)[at])
@@ -155,10 +146,9 @@ class DrawSensors(NamedTuple):
             row = jnp.asarray(shared.axes)[at]
             axes = base_motion.Axes(*(Vec3(*row[3 * i :][:3]) for i in range(3)))
             return IdealSample(stored, axes)
-        assert draw.derived.nodes is not None
-        k = jnp.asarray(n, self.environment.dtype)
-        place, rate_hz = self.inputs.site.place, 1 / self.spec.options.dt
-        return base_motion.ideal_sample(draw.motion, draw.derived.nodes, place, rate_hz, k)
+        assert draw.nodes is not None
+        k, rate_hz = jnp.asarray(n, shared.dtype), 1 / self.spec.options.dt
+        return base_motion.ideal_sample(draw.motion, draw.nodes, self.whole.site.place, rate_hz, k)
 
     def zero_before_record(self, n: Count, increments: Increments) -> Increments:
         """Return increments, or zeros where a backward pass reads beyond the record's beginning."""
@@ -167,10 +157,12 @@ class DrawSensors(NamedTuple):
         return select_tree(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
 
 
-def _lever_of_housing(inputs: DrawInputs) -> Vec3 | None:
+def _lever_of_housing(whole: Any) -> Vec3 | None:
     """Return the lever arm of a draw whose housing rotates, m; None without one."""
-    rocks = inputs.disturbances.rocking is not None
-    return inputs.motion.lever if inputs.motion is not None and rocks else None
+    if whole.motion is None or whole.disturbances.rocking is None:
+        return None
+    lever: Vec3 | None = whole.motion.lever
+    return lever
 
 
 class TileSensors(NamedTuple):
@@ -187,16 +179,10 @@ class TileSensors(NamedTuple):
     draws: Draw
 
     @property
-    def model(self) -> SensorModel:
-        """Base and sensors of all draws."""
-        return self.environment.sensors
-
-    @property
-    def _is_sequential(self) -> bool:
-        """Whether a sample depends on those before it."""
-        inputs = inputs_of(self.environment, self.draws)
-        disturbed = jax.tree.leaves(inputs.disturbances)
-        return bool(disturbed) or inputs.errors.gyro_quantum is not None
+    def disturbances(self) -> Disturbances:
+        """Random processes of all draws."""
+        found: Disturbances = complete(self.environment, self.draws).disturbances
+        return found
 
     def of_one(self, draw: Draw) -> DrawSensors:
         """Return the sensors of one of the draws."""
@@ -224,8 +210,8 @@ class TileSensors(NamedTuple):
             exact = self._integrate_swaying_motions(numbers)
             if shared is not None:
                 exact = jax.tree.map(lambda a: a[places], shared)
-            present, seed = inputs_of(self.environment, self.draws).disturbances, self.model.seed
-            driving = disturbances.driving_noise(present, seed, self.draws.draw_id, numbers)
+            seed, ids = self.environment.seed, self.draws.draw_id
+            driving = disturbances.driving_noise(self.disturbances, seed, ids, numbers)
             inputs = SampleInputs(numbers, self.normal_numbers(numbers), exact, driving)
             return self._measure_block(state, inputs)
 
@@ -233,9 +219,9 @@ class TileSensors(NamedTuple):
 
     def normal_numbers(self, numbers: Array) -> Increments | None:
         """Return standard normal numbers of n samples, leaves (n, draws); None without noise."""
-        if not self.spec.sensors.noisy:
+        if not self.spec.noisy:
             return None
-        return sensors.draw_normal_numbers(self.model.seed, self.draws.draw_id, numbers)
+        return sensors.draw_normal_numbers(self.environment.seed, self.draws.draw_id, numbers)
 
     @property
     def block_size(self) -> int:
@@ -274,7 +260,7 @@ class TileSensors(NamedTuple):
 
     def make_record(self) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""
-        kept, block = self.spec.sensors.kept, self.block_size
+        kept, block = self.spec.kept, self.block_size
         measure = self.make_sampler(jnp.arange(kept))
 
         def over_block(state: SensorState, number: Count) -> tuple[SensorState, Array]:
@@ -293,12 +279,11 @@ class TileSensors(NamedTuple):
         housing does not rotate.
         """
         every, dt = self.spec.interval_samples, self.spec.options.dt
-        if inputs_of(self.environment, self.draws).disturbances.rocking is None:
+        if self.disturbances.rocking is None:
             return None
 
         def rocking_of(draw: Draw) -> Disturbances:
-            rocking = inputs_of(self.environment, draw).disturbances.rocking
-            return Disturbances(rocking=rocking)
+            return Disturbances(rocking=self.of_one(draw).whole.disturbances.rocking)
 
         def advance(draw: Draw, state: Disturbances, normal: Disturbances) -> Disturbances:
             return disturbances.advance_processes(rocking_of(draw), state, normal, dt)[0]
@@ -314,13 +299,15 @@ class TileSensors(NamedTuple):
         def over_interval(state: Disturbances, number: Count) -> tuple[Disturbances, Array]:
             numbers, present = number * every + jnp.arange(every), rocking_of(self.draws)
             normal = disturbances.driving_noise(
-                present, self.model.seed, self.draws.draw_id, numbers
+                present, self.environment.seed, self.draws.draw_id, numbers
             )
             state, _ = jax.lax.scan(over_sample, state, normal)
             return state, map_draws(turn, self.draws, state)
 
         def begin(draw: Draw) -> Disturbances:
-            return disturbances.initial_states(rocking_of(draw), self.model.seed, draw.draw_id)
+            return disturbances.initial_states(
+                rocking_of(draw), self.environment.seed, draw.draw_id
+            )
 
         first = map_draws(begin, self.draws)
         _, rows = jax.lax.scan(over_interval, first, jnp.arange(intervals))
@@ -339,10 +326,10 @@ class TileSensors(NamedTuple):
 
         None if they are stored, or if each draw has its own base.
         """
-        if self.model.increments is not None or self.draws.motion is not None:
+        if self.environment.increments is not None or self.draws.motion is not None:
             return None
-        assert self.model.motion is not None
-        motion, place = self.model.motion, self.environment.site.place
+        assert self.environment.motion is not None
+        motion, place = self.environment.motion, self.environment.site.place
         rate_hz = 1 / self.spec.options.dt
         nodes = base_motion.integration_nodes(motion, rate_hz)
         sense = partial(base_motion.ideal_sample, motion, nodes, place, rate_hz)
@@ -356,7 +343,7 @@ class TileSensors(NamedTuple):
 
         All are made in one row. None if draws have no swaying base.
         """
-        if self.draws.derived.nodes is None:
+        if self.draws.nodes is None:
             return None
         shape = (numbers.size, self.draws.draw_id.size)
 
@@ -369,7 +356,7 @@ class TileSensors(NamedTuple):
 
     def _measure_block(self, state: SensorState, inputs: SampleInputs) -> Measured:
         """Measure a block of samples, one after the other only if they depend on one another."""
-        exact_axis = None if self.draws.derived.nodes is None else 0
+        exact_axis = None if self.draws.nodes is None else 0
         of_sample: Any = (None, 0, exact_axis, 0)
 
         def measure(state: SensorState, sample: SampleInputs) -> Measured:
@@ -380,7 +367,8 @@ class TileSensors(NamedTuple):
             )
             return measured
 
-        if not self._is_sequential:
+        quantised = complete(self.environment, self.draws).errors.gyro_quantum is not None
+        if not quantised and not jax.tree.leaves(self.disturbances):
             return Measured(jax.vmap(lambda sample: measure(state, sample)[0])(inputs), state)
         if inputs.number.size == 1:  # of many draws, which fill the vectors by themselves
             now, state = measure(state, jax.tree.map(lambda a: a[0], inputs))

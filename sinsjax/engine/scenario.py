@@ -21,25 +21,21 @@ from sinsjax.engine.inputs import (
     CoarseStage,
     Draw,
     Environment,
-    InitialErrors,
     ProgramSpec,
     RunParams,
-    SensorModel,
-    SensorProgram,
-    Truth,
     aligned_record,
 )
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.success import FloorConditions, SuccessLimits, has_floor
+from sinsjax.engine.success import SuccessLimits
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
 from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
-from sinsjax.methods.floors import NO_BIASES, mean_attitude, mean_biases
+from sinsjax.methods.floors import NO_BIASES, mean_biases
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import runtime
 from sinsjax.records import require_span
-from sinsjax.records.reference import StoredRecord
+from sinsjax.records.reference import StoredRecord, reference_attitudes
 from sinsjax.strapdown import earth, processes, sensors
 from sinsjax.strapdown.attitude_path import attitude_path
 from sinsjax.strapdown.base_motion import Motion, Sway
@@ -85,10 +81,15 @@ depend on it by gravity and radius alone, 0.3 % on an ellipsoid."""
 StudySource: TypeAlias = Study | str | Path
 """A study, its file, or the name of a shipped study."""
 
+LEAST_PERIODS = 10
+"""Sway periods since the last reset that are needed to average a bias."""
+
+MOST_SHARED = 5 * ARCMIN
+"""Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
+
 _ANGLES = ("pitch", "roll", "yaw")
 _NEVER_S = 1e12  # beginning of a turn after every run
-_MOST_DRAWS = 4096  # draws that are examined before a study runs
-_BLOCK = 256  # draws averaged at a time: some 10 MB
+_MOST_EXAMINED = 4096  # runs of which a missing floor is looked for, beyond a draw of each variant
 
 
 class Place(NamedTuple):
@@ -252,12 +253,10 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
         study.record_every,
         span.records,
         curves,
-        sensors=SensorProgram(
-            noisy=simulated and keys.is_active(*keys_acting_as("noise")),
-            distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
-            sways=simulated and _moves(keys),
-            kept=_samples_read(study) if keeps else 0,
-        ),
+        noisy=simulated and keys.is_active(*keys_acting_as("noise")),
+        distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
+        sways=simulated and _moves(keys),
+        kept=_samples_read(study) if keeps else 0,
         passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
         coarse=_coarse_stage(study, keys),
     )
@@ -356,22 +355,19 @@ def _simulated_inputs(
         attitudes = truth.true_attitudes(motion, times, blank=blank)
         if samples:
             increments, axes = rows[:, :6], rows[:, 6:] if travels else None
-    needs_motion = bool(study.drawn_keys) or increments is None or rocks
-    model = SensorModel(
-        increments,
-        errors,
-        np.asarray(study.seed),
-        motion if needs_motion else None,
-        axes,
-        disturbances,
-    )
     environment = Environment(
-        keys.site,
-        model,
-        Truth(attitudes[None, 1:], times[1:] if draws_motion else None),
-        _criteria(study, keys),
-        mean_biases(errors, motion),
-        np.asarray(span.pass_records),
+        site=keys.site,
+        errors=errors,
+        biases=mean_biases(errors, motion),
+        seed=np.asarray(study.seed),
+        criteria=_criteria(study, keys),
+        pass_intervals=np.asarray(span.pass_records),
+        increments=increments,
+        attitudes=attitudes[None, 1:],
+        end_times=times[1:] if draws_motion else None,
+        motion=motion if study.drawn_keys or increments is None or rocks else None,
+        axes=axes,
+        disturbances=disturbances,
     )
     n = len(draws)
     q = Quat(*(np.full(n, part) for part in attitudes[0]))
@@ -396,7 +392,7 @@ def _drawn_fields(
     errors, motion, disturbances = jax.tree.map(
         lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
     )
-    fields: dict[str, Any] = {"initial": _initial_errors(values)}
+    fields = _initial_errors(values)
     if _draws_any(study, SensorsSection):
         fields["errors"] = errors
     if _draws_any(study, MotionSection, EarthSection):
@@ -408,11 +404,11 @@ def _drawn_fields(
     return fields
 
 
-def _initial_errors(values: Mapping[str, np.ndarray]) -> InitialErrors:
-    """Return the drawn initial errors."""
+def _initial_errors(values: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return the drawn initial errors as fields of `Draw`."""
     angles = (values.get(f"phi_{axis}0_deg") for axis in "enu")
     e, n, u = (None if angle is None else angle * DEG for angle in angles)
-    return InitialErrors((e, n, u), values.get("ve0_m_per_s"), values.get("vn0_m_per_s"))
+    return {"phi": (e, n, u), "ve": values.get("ve0_m_per_s"), "vn": values.get("vn0_m_per_s")}
 
 
 def start_samples(study: Study, rate_hz: float) -> np.ndarray:
@@ -450,16 +446,18 @@ def _recorded_inputs(
     fine = starts + coarse_n
     times = [start / rate + study.stored_times(span) for start in fine]
     environment = Environment(
-        keys.site,
-        SensorModel(increments, sensors.error_free_sensors(), np.asarray(study.seed)),
-        Truth(np.stack([truth.reference_attitudes(stored, at) for at in times])),
-        _criteria(study, keys),
-        NO_BIASES,
-        np.asarray(span.pass_records),
+        site=keys.site,
+        errors=sensors.error_free_sensors(),
+        biases=NO_BIASES,
+        seed=np.asarray(study.seed),
+        criteria=_criteria(study, keys),
+        pass_intervals=np.asarray(span.pass_records),
+        increments=increments,
+        attitudes=np.stack([reference_attitudes(stored, at) for at in times]),
     )
     initial = _initial_errors(sampling.drawn_values(study, n))
-    draws = Draw(np.arange(n), fine - first, np.arange(n), Quat(*np.asarray(q).T), initial)
-    return environment, draws
+    rows, starts = np.arange(n), fine - first
+    return environment, Draw(np.arange(n), starts, rows, Quat(*np.asarray(q).T), **initial)
 
 
 # The base and the sensors from the keys of [motion] and [sensors]
@@ -654,10 +652,17 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
     return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
 
 
-def floor_conditions(
+def has_floor(
     study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
-) -> FloorConditions:
-    """Return what decides whether runs of a simulated study have a bias floor.
+) -> np.ndarray:
+    """Return whether runs have the bias floor of `methods.floors`, (runs,) bool.
+
+    Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
+    record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
+    once the base moves. On a still base it cannot, and has the bias floor of a filter without them
+    if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
+    methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
+    reference is their floor, all have one.
 
     Args:
         study: checked study.
@@ -665,6 +670,8 @@ def floor_conditions(
         variant_ids: (runs,).
         last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
     """
+    if study.is_recorded:
+        return np.ones(len(variant_ids), bool)
     first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
     drawn = sampling.drawn_values(study, last + 1 - first, first=first)
     keys = Variants(study, variant_ids)
@@ -677,28 +684,26 @@ def floor_conditions(
             return drawn[key][draw_ids - first].any(-1)
         return keys.compute(np.any, key, dtype=bool)
 
+    codes, spans = study.lengths
+    intervals = np.array([(span.records, span.pass_records) for span in spans])
+    length, pass_s = (intervals[codes[variant_ids]] * study.record_every / study.rate_hz).T
+    averaged_over_s = np.minimum(length - last_reset_s, pass_s) * (1 + 1e-9)
+    moves = np.stack([number(f"{angle}_amplitude_deg") for angle in _ANGLES]) != 0
+    periods_s = np.stack([number(f"{angle}_period_s") for angle in _ANGLES])
+    slow = (moves & (LEAST_PERIODS * periods_s > averaged_over_s)).any(0)
+    floors = ~(np.logical_or(*map(is_biased, BIAS_KEYS)) & slow)
     names = keys.compute(lambda name: name, "method", dtype=object)
-    rate_n = keys.compute(_earth_rate, "earth", "earth_rate_deg_per_h")
+    rate_n = keys.compute(earth_rate, "earth", "earth_rate_deg_per_h")
     rate_n = rate_n * np.cos(number("latitude_deg") * DEG)
-    shared = np.full(len(names), np.nan)
     for name in study.methods:
         if pairs := METHODS[name].gyro_bias_keys:
             given = [pair for pair in pairs if study.has(SECTION_OF[pair[0]])]
             sigmas = [(number(bias), number(yaw)) for bias, yaw in given]
-            part = _sigma_shared_with_bias(rate_n, sigmas)
-            shared = np.where(names == name, part, shared)
-    codes, spans = study.lengths
-    intervals = np.array([(span.records, span.pass_records) for span in spans])
-    length, pass_s = (intervals[codes[variant_ids]] * study.record_every / study.rate_hz).T
-    return FloorConditions(
-        amplitudes=np.stack([number(f"{angle}_amplitude_deg") for angle in _ANGLES]) * DEG,
-        periods_s=np.stack([number(f"{angle}_period_s") for angle in _ANGLES]),
-        averaged_over_s=np.minimum(length - last_reset_s, pass_s),
-        biased=np.logical_or(*map(is_biased, BIAS_KEYS)),
-        turned=keys.compute(lambda *given: any(given), "turn_times_s", "attitude_file", dtype=bool),
-        known=keys.compute(lambda name: METHODS[name].has_floor, "method", dtype=bool),
-        shared=shared,
-    )
+            shared = _sigma_shared_with_bias(rate_n, sigmas)
+            floors = np.where(names == name, ~moves.any(0) & (shared <= MOST_SHARED), floors)
+        floors &= METHODS[name].has_floor | (names != name)
+    turns = "turn_times_s", "attitude_file"
+    return floors & ~keys.compute(lambda *given: any(given), *turns, dtype=bool)
 
 
 def _sigma_shared_with_bias(
@@ -723,7 +728,7 @@ def _sigma_shared_with_bias(
     return most
 
 
-def _earth_rate(model: str, rate_deg_per_h: float | None) -> float:
+def earth_rate(model: str, rate_deg_per_h: float | None) -> float:
     """Return the rate of an Earth model by its name in a study, rad/s."""
     return earth.WGS84_RATE if model == "wgs84" else (rate_deg_per_h or 0.0) * DEG_PER_H
 
@@ -738,17 +743,16 @@ def _require_floor(study: Study) -> None:
     """
     if success_criteria(study).from_truth or study.is_recorded:
         return
-    draws = np.arange(min(study.n_draws, 1 + _MOST_DRAWS // study.n_variants))
+    draws = np.arange(min(study.n_draws, 1 + _MOST_EXAMINED // study.n_variants))
     variants = np.tile(np.arange(study.n_variants), len(draws))
     last_s = last_scheduled_reset_s(study)[variants]
-    conditions = floor_conditions(study, np.repeat(draws, study.n_variants), variants, last_s)
-    floors = has_floor(conditions)
+    floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
     if floors.all():
         return
-    run = int(np.argmin(floors))
-    method = study.values("method")[variants[run]]
+    variant = int(variants[~floors][0])
+    method = study.values("method")[variant]
     why = "has no bias floor on this base"
-    if conditions.turned[run]:
+    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
         why = "has no bias floor on a base that is turned"
     elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
         why = (
@@ -756,79 +760,5 @@ def _require_floor(study: Study) -> None:
         )
     raise InputError(
         f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
-        f" {why} (variant {variants[run]}; use 'truth')"
+        f" {why} (variant {variant}; use 'truth')"
     )
-
-
-class HiddenNorth(NamedTuple):
-    """The run whose level gyro bias most exceeds the north component of the Earth rate.
-
-    Attributes:
-        bias_deg_per_h: its level gyro bias, averaged over the motion.
-        rate_deg_per_h: Omega cos L.
-        runs: number of runs whose bias exceeds their rate.
-        of_runs: number of runs examined: all, or those of the first 4,096 draws.
-    """
-
-    bias_deg_per_h: float
-    rate_deg_per_h: float
-    runs: int
-    of_runs: int
-
-    def __str__(self) -> str:
-        """Return a warning in one sentence."""
-        return (
-            f"the level gyro bias is up to {self.bias_deg_per_h:.3g} deg/h, the level part of the"
-            f" Earth rate {self.rate_deg_per_h:.3g} deg/h: {self.runs:,} of {self.of_runs:,} runs"
-            " cannot find north (status no_north)"
-        )
-
-
-def hidden_north(study: Study) -> HiddenNorth | None:
-    """Return the worst run whose level gyro bias exceeds Omega cos L, None if there is none.
-
-    Such a run cannot find north, since the measured rate may point anywhere. The gyro biases are
-    averaged over the motion, as in its bias floor; turns average them out.
-
-    Args:
-        study: checked study; the biases of a recorded one are unknown.
-    """
-    if study.is_recorded:
-        return None
-    earth_keys = ("earth", "latitude_deg", "earth_rate_deg_per_h")
-    keys = ("gyro_bias_deg_per_h", *MotionSection.model_fields, *earth_keys)
-    draws = min(study.n_draws, _MOST_DRAWS)
-    drawn = sampling.drawn_values(study, draws)
-    drawn = {key: values for key, values in drawn.items() if key in keys}
-    codes, points = study.resolved.column(*keys)
-    worst, runs = (0.0, 0.0, 0.0), 0
-    for values, count in zip(points, np.bincount(codes, minlength=len(points)), strict=True):
-        point = dict(zip(keys, values, strict=True)) | drawn
-        if point["turn_times_s"] or point["attitude_file"]:
-            continue
-        biases, rates = _level_bias(point, draws if drawn else 1)
-        hidden = biases > rates
-        runs += int(count) * int(hidden.sum()) * (draws // len(hidden))
-        at = int(np.argmax(biases / rates))
-        if hidden[at]:
-            worst = max(worst, (biases[at] / rates[at], float(biases[at]), float(rates[at])))
-    bias, rate = (rad_per_s / DEG_PER_H for rad_per_s in worst[1:])
-    return HiddenNorth(bias, rate, runs, draws * study.n_variants) if runs else None
-
-
-def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return level gyro bias and Omega cos L at a point of a sweep, rad/s, (draws,).
-
-    A bias below Omega cos L as a whole is returned in place of its level part.
-    """
-    rate = _earth_rate(values["earth"], values["earth_rate_deg_per_h"])
-    rate_n = np.broadcast_to(rate * np.cos(np.asarray(values["latitude_deg"], float) * DEG), draws)
-    bias = np.broadcast_to(read_errors(values.get, 1.0, 1.0).gyro_bias, (draws, 3))
-    level = np.linalg.norm(bias, axis=-1)
-    motion = jax.tree.map(lambda a: np.broadcast_to(a, draws), read_sways(values.get))
-    doubtful = np.flatnonzero(level > rate_n)
-    for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
-        here = jax.tree.map(lambda a, block=block: a[block], motion)
-        turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
-        level[block] = np.hypot(turned[:, 0], turned[:, 1])
-    return level, rate_n

@@ -1,4 +1,4 @@
-"""Which runs have a bias floor, and which are successes: settling times, and a status."""
+"""Success of runs: settling times about the bias floor and about the truth, and a status."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,56 +8,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.engine.metrics import Outcome
-from sinsjax.units import ARCMIN
 
 FLOOR, TRUTH = 0, 1
 """Rows of results that are judged from the bias floor and from the truth."""
-
-LEAST_PERIODS = 10
-"""Sway periods since the last reset that are needed to average a bias."""
-
-MOST_SHARED = 5 * ARCMIN
-"""Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
-
-
-class FloorConditions(NamedTuple):
-    """What decides whether runs have the bias floor of `methods.floors`.
-
-    Attributes:
-        amplitudes: (3, runs) of the sways in pitch, roll and yaw, rad.
-        periods_s: (3, runs) their periods, s.
-        averaged_over_s: (runs,) time since the last reset, at most a pass over the record, s.
-        biased: (runs,) whether a sensor has a constant bias.
-        turned: (runs,) whether the base is turned, or its attitude is that of a file.
-        known: (runs,) whether the method has a floor that is known.
-        shared: (runs,) part of one sigma of heading that the filter takes for gyro bias, rad; NaN
-            of a method without gyro bias states.
-    """
-
-    amplitudes: NDArray
-    periods_s: NDArray
-    averaged_over_s: NDArray
-    biased: NDArray
-    turned: NDArray
-    known: NDArray
-    shared: NDArray
-
-
-def has_floor(runs: FloorConditions) -> NDArray:
-    """Return whether runs have a bias floor, (runs,) bool.
-
-    Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
-    record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
-    once the base moves. On a still base it cannot, and has the bias floor of a filter without them
-    if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. No run
-    has one whose base is turned.
-    """
-    moves = runs.amplitudes != 0
-    slow = moves & (LEAST_PERIODS * runs.periods_s > runs.averaged_over_s * (1 + 1e-9))
-    averaged = ~(runs.biased & slow.any(0))
-    attributed = ~moves.any(0) & (runs.shared <= MOST_SHARED)
-    floors: NDArray = np.where(np.isnan(runs.shared), averaged, attributed)
-    return floors & runs.known & ~runs.turned
 
 
 class SuccessLimits(NamedTuple):

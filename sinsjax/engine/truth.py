@@ -6,19 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.errors import InputError
-from sinsjax.messages import format_seconds
 from sinsjax.methods.coarse import align_analytically, align_by_program
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
-from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.types import Array
 
 _SAMPLES, _TIMES = 4000, 256
 """Samples of increments, and attitudes, per call: one program serves studies of any length."""
-
-_LONGEST_GAP_S = 5.0  # in a reference; a swinging base turns within seconds
 
 
 @partial(jax.jit, static_argnums=(0, 2))
@@ -39,47 +34,6 @@ def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
         return jnp.stack(align_by_program(METHODS[method].build(Options(dt)), samples, site))
 
     return jax.vmap(align)(rows)
-
-
-def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
-    """Return the reference attitude at times from the record's start, (n, 4); NaN without one."""
-    reference = stored.reference
-    if reference is None:
-        return np.full((len(times), 4), np.nan)
-    first, last = reference.time_s[0], reference.time_s[-1]
-    begin, end = times.min(), times.max()  # a backward pass ends before it begins
-    slack = 1e-6 + 1 / stored.record.rate_hz
-    late, early = float(first - begin), float(end - last)
-    if max(late, early) > slack:
-        clock = stored.record.t0_s
-        lack, remedy = f"ends {early:.3g} s too early", "a shorter [study] duration_s would do"
-        if late >= early:
-            lack, remedy = f"begins {late:.3g} s too late", "a later [record] start_s would do"
-        if max(late, early) > end - begin:
-            remedy = "do their clocks differ?"
-        raise InputError(
-            f"{reference.source}: covers {format_seconds(clock + first)} to"
-            f" {format_seconds(clock + last)} s, but the study needs"
-            f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
-            f" clock of {stored.record.source}: it {lack} ({remedy})"
-        )
-    # With the samples on either side, between which the ends are interpolated.
-    low = np.searchsorted(reference.time_s, begin, side="right") - 1
-    high = np.searchsorted(reference.time_s, end)
-    gap = np.diff(reference.time_s[max(0, low) : high + 1]).max(initial=0.0)
-    if gap > _LONGEST_GAP_S:
-        raise InputError(
-            f"{reference.source}: has a gap of {gap:g} s where the study needs it"
-            f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
-        )
-    # Half the import time of sinsjax, and needed only with a reference.
-    from scipy.spatial.transform import Rotation, Slerp
-
-    pitch, roll, yaw = reference.attitude_deg.T
-    attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)
-    return Slerp(reference.time_s, attitudes)(np.clip(times, first, last)).as_quat(
-        scalar_first=True
-    )
 
 
 _increments = jax.jit(base_motion.ideal_increments, static_argnums=3)

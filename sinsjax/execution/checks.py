@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.engine.scenario import Scenario, hidden_north, read_site, start_samples
+from sinsjax.engine.scenario import Scenario, read_site, start_samples
 from sinsjax.errors import InputError
+from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.messages import format_seconds
 from sinsjax.methods.filters.keys import update_variance
 from sinsjax.methods.filters.params import level_settling_s

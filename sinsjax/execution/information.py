@@ -119,7 +119,6 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     """Return the bound of 1 sigma of the heading at some times, arcmin."""
     study = scenario.study
     environment = _environment(scenario, part)
-    sensors = environment.sensors
     variants = scenario.keys(part)
     motion = add_turns(read_sways(variants.common), variants)
     if motion.turns or any(key in _CONSTANT_KEYS for key in study.drawn_keys):
@@ -128,8 +127,8 @@ def _heading_sigma_bound(scenario: Scenario, part: int, times_s: Sequence[float]
     sigma = heading_bound(
         times_s,
         place=environment.site.place,
-        errors=sensors.errors,
-        disturbances=sensors.disturbances,
+        errors=environment.errors,
+        disturbances=environment.disturbances,
         dt=1 / study.rate_hz,
         to_n=np.asarray(mean_attitude(still(motion))),
     )
@@ -160,8 +159,8 @@ def error_sources(study: Study) -> ErrorSources:
     if not motion.turns:
         pose = np.asarray(mean_attitude(motion)), environment.site.place
         problem = replace(problem, motion=partial(_parked, *pose))
-    drifts = increment_error_processes(environment.sensors.disturbances, problem.dt)
-    quantised = [name for name, _ in _iter_quantisation(environment.sensors.errors)]
+    drifts = increment_error_processes(environment.disturbances, problem.dt)
+    quantised = [name for name, _ in _iter_quantisation(environment.errors)]
     names = ("gyro_noise", "accel_noise", *drifts, *quantised, *CONSTANT_SOURCES)
     return ErrorSources(replace(problem, longest_step_s=LONGEST_STEP_S), names)
 
@@ -188,7 +187,7 @@ def still(motion: Motion) -> Motion:
 
 def _environment(scenario: Scenario, part: int) -> Environment:
     environment = scenario.batch(part, range(1), blank=True).environment
-    if not np.all(environment.sensors.errors.accel_noise):
+    if not np.all(environment.errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     return environment
 
@@ -208,7 +207,7 @@ def _problem_with_priors(
 ) -> HeadingProblem:
     """Return a base that turns, or sensors with drawn errors."""
     dt = 1 / study.rate_hz
-    errors, disturbances = environment.sensors.errors, environment.sensors.disturbances
+    errors, disturbances = environment.errors, environment.disturbances
     laws = {} if study.drawn is None else study.drawn.laws
 
     def sigma_of(key: str) -> Any:

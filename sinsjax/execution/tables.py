@@ -11,12 +11,12 @@ from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.scenario import (
-    floor_conditions,
+    has_floor,
     last_scheduled_reset_s,
     start_samples,
     success_limits,
 )
-from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, evaluate_success, has_floor
+from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, evaluate_success
 from sinsjax.execution import schemas
 from sinsjax.methods.filters.keys import last_triggered_sample
 from sinsjax.methods.method import Method
@@ -208,12 +208,10 @@ class TableBuilder:
 
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
         """Return whether each run has a bias floor, given its last scheduled or triggered reset."""
-        if self._study.is_recorded:  # its reference is its floor
-            return np.ones(len(variant), bool)
         last_s = self._last_reset_s[variant]
         if (last_event := last_triggered_sample(chunk.outcome.results)) is not None:
             last_s = np.maximum(last_s, last_event / self._study.rate_hz)
-        return has_floor(floor_conditions(self._study, chunk.draw, variant, last_s))
+        return has_floor(self._study, chunk.draw, variant, last_s)
 
 
 def _data_before_start_s(study: Study) -> np.ndarray:

@@ -13,7 +13,7 @@ from support.commands import Command, command_line
 from support.studies import BASE, small_study, swing_deg, with_paper_values
 from support.sweep_directories import read_files_and_times
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.records import (
     Record,

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution import rerun, run
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.study.load import study_from_dict, study_to_toml

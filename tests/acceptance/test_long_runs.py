@@ -9,10 +9,10 @@ import pytest
 from support.batches import batch_of
 from support.studies import small_study
 
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine import samples, scenario
 from sinsjax.engine.inputs import aligned_record
 from sinsjax.engine.run import map_stacked_tiles, run_tile
-from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.execution import run
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
@@ -77,7 +77,7 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
     whole = run.run(PASSES).curves
     request.getfixturevalue("without_records")
     part = batch_of(PASSES)
-    assert part.environment.sensors.increments is None
+    assert part.environment.increments is None
     pieces = run.run(PASSES).curves
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):

@@ -13,7 +13,7 @@ from support.alone import run_alone
 from support.batches import batch_of, batches_of, run_chunks
 from support.studies import with_paper_values
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.tables import TableBuilder
@@ -368,7 +368,7 @@ def recorded(**passes: Any) -> dict[str, Any]:
 def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
     study = study_from_dict(recorded(stored_s=6.0))
     group = batch_of(study, StoredRecord(record(), reference(RECORD_S)))
-    w, x, y, z = np.moveaxis(np.asarray(group.environment.truth.attitudes)[group.draws.row], -1, 0)
+    w, x, y, z = np.moveaxis(np.asarray(group.environment.attitudes)[group.draws.row], -1, 0)
     stored = np.array([1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0])
     t = np.array([[0.0], [4.0]]) + 6.0 + stored
     pitch_deg = np.rad2deg(np.arcsin(2 * (w * x + y * z)))
@@ -396,9 +396,7 @@ def test_pass_longer_than_record_is_refused() -> None:
     line = "has 20 s, but 17 s from start_s = 4 need 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
     part = batch_of(study_from_dict(recorded(stored_s=6.0)), StoredRecord(record(), None))
-    assert (
-        len(part.environment.sensors.increments) == 800
-    )  # of the 1000 of the record, what is read
+    assert len(part.environment.increments) == 800  # of the 1000 of the record, what is read
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
@@ -406,10 +404,8 @@ def test_only_needed_part_of_record_is_loaded() -> None:
     data = recorded(stored_s=6.0)
     data["record"] = data["record"] | {"start_s": 4.0}
     part = batch_of(study_from_dict(data), StoredRecord(record(), None))
-    np.testing.assert_array_equal(
-        part.environment.sensors.increments[:, :3], record().dtheta[200:800]
-    )
-    np.testing.assert_array_equal(part.environment.sensors.increments[:, 3:], record().dv[200:800])
+    np.testing.assert_array_equal(part.environment.increments[:, :3], record().dtheta[200:800])
+    np.testing.assert_array_equal(part.environment.increments[:, 3:], record().dv[200:800])
     np.testing.assert_array_equal(part.draws.start, [300])
 
 

@@ -15,7 +15,7 @@ from support.alone import run_alone
 from support.batches import batch_of, run_chunks
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import forecast, rerun, run
 from sinsjax.records.reference import StoredRecord

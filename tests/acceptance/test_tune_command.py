@@ -17,7 +17,7 @@ from support.stored_results import report_text, write_part
 from support.studies import BASE, PAPER, small_study
 from support.sweep_directories import read_files_and_times
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted, StudyWarning
 from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import read_summary

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.stored_results import report_text
 from support.studies import BASE, PAPER, small_study, with_paper_values
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, prepare, run
 from sinsjax.execution.checks import describe_process_noise, study_warnings

@@ -11,7 +11,7 @@ import distributed
 import pytest
 from support.studies import add_true_reference, small_study
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import cluster
 from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 from support.studies import small_study, with_paper_values
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import TableBuilder

@@ -14,7 +14,7 @@ from support.studies import PAPER, small_study
 from support.synthetic_tables import synthetic_summary
 
 import sinsjax
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import RunOptions, prepare_job
 from sinsjax.records import write_psins

@@ -29,7 +29,7 @@ from support.sweep_directories import (
     sweep_study,
 )
 
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, store, tables
 from sinsjax.execution import run as study_run

@@ -16,7 +16,7 @@ from support.sweep_directories import read_files_and_times
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax import columns
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import results, run, tables
 from sinsjax.execution.directory import read_manifest

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from support.studies import PAPER, small_study
 from support.sweep_directories import STUDIES, make_study, read_parts
 
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine.batch import LANES
 from sinsjax.engine.scenario import Scenario
-from sinsjax.engine.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.outputs import RunOutput

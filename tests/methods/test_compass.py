@@ -108,7 +108,7 @@ def fly(params, *, rate, phi=(0, 0, 0), v=(0, 0), eps=0.0, nabla=0.0):
         gyro_bias=np.zeros(3) + eps, accel_bias=np.array([1.0, 1.0, 0.0]) * nabla
     )
     world = still_world(rate)
-    world = world._replace(sensors=world.sensors._replace(errors=errors))
+    world = world._replace(errors=errors)
     static = ProgramSpec("compass", Options(1 / rate), rate, SECONDS, curves=False)
     state = trail(static, world, one_run(np.eye(3), phi, v, params))
     c = of_quaternion(np.stack(state.nav.q, axis=1))

@@ -12,8 +12,8 @@ from support.batches import batch_of
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import run
-from sinsjax.engine.scenario import floor_conditions, hidden_north
-from sinsjax.engine.success import has_floor
+from sinsjax.engine.scenario import has_floor
+from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import study_from_dict
@@ -220,8 +220,7 @@ def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
 def runs_with_floor(study: Study, last_reset_s: float = 0.0) -> list[bool]:
     """Of the first draw's runs."""
     ids = np.arange(study.n_variants)
-    conditions = floor_conditions(study, 0 * ids, ids, np.full(ids.shape, last_reset_s))
-    return has_floor(conditions).tolist()
+    return has_floor(study, 0 * ids, ids, np.full(ids.shape, last_reset_s)).tolist()
 
 
 def test_bias_floor_needs_ten_sway_periods_since_last_reset() -> None:

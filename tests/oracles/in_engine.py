@@ -11,7 +11,7 @@ from support.alone import set_up_alone
 from support.methods import FIVE, TEN
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
-from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, SensorModel, Truth
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
 from sinsjax.maths.algebra import triangle_index
@@ -182,11 +182,13 @@ def record_world(
     perfect = sensors.error_free_sensors() if errors is None else errors
     return Environment(
         site=here,
-        sensors=SensorModel(rows, perfect, np.asarray(11)),
-        truth=Truth(np.full((1, 1, 4), np.nan)),
-        criteria=never,
+        errors=perfect,
         biases=NO_BIASES,
+        seed=np.asarray(11),
+        criteria=never,
         pass_intervals=np.asarray(pass_intervals),
+        increments=rows,
+        attitudes=np.full((1, 1, 4), np.nan),
     )
 
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from support.studies import refusal_line, small_study
 
 import sinsjax
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.identity import fingerprint

@@ -5,11 +5,12 @@ import pytest
 from support.refusals import refused
 from support.studies import STILL, refusal_line, small_study
 
-from sinsjax.engine.scenario import Scenario, hidden_north, read_motion
-from sinsjax.engine.simulated_record import simulated_record
+from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.engine.scenario import Scenario, read_motion
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.checks import study_warnings
+from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict

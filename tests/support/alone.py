@@ -42,9 +42,8 @@ def measure_alone(
     spec: ProgramSpec, environment: Environment, draw: Draw, numbers: Any
 ) -> Increments:
     """Measured increments of one draw from its first sample, leaves (n,)."""
-    draws = first_lane(draw)
-    derived = jax.vmap(lambda draw: derive_inputs(spec, environment, draw))(draws)
-    sensors = TileSensors(spec, environment, draws._replace(derived=derived))
+    draws = derive_inputs(spec, environment, first_lane(draw))
+    sensors = TileSensors(spec, environment, draws)
     numbers = jnp.asarray(numbers)
     measure = sensors.make_sampler(numbers)
     increments, _ = measure(sensors.start(), jnp.arange(numbers.size))

@@ -9,14 +9,7 @@ import numpy as np
 
 from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
-from sinsjax.engine.inputs import (
-    Draw,
-    Environment,
-    ProgramSpec,
-    derive_inputs,
-    inputs_of,
-    map_draws,
-)
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs
 from sinsjax.engine.samples import TileSensors
 from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
@@ -59,13 +52,11 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
         source: name of the records.
     """
     spec, environment = batch.spec, batch.environment
-    model = environment.sensors
     samples = min(spec.intervals, int(environment.pass_intervals)) * spec.interval_samples
-    if model.increments is None and model.motion is not None:
-        place = environment.site.place
-        rows = truth.true_increments(model.motion, place, rate_hz, samples, axes=True)
-        model = model._replace(increments=rows[:, :6], axes=rows[:, 6:])
-        environment = environment._replace(sensors=model)
+    if environment.increments is None and environment.motion is not None:
+        motion, place = environment.motion, environment.site.place
+        rows = truth.true_increments(motion, place, rate_hz, samples, axes=True)
+        environment = environment._replace(increments=rows[:, :6], axes=rows[:, 6:])
     for number in range(batch.n_draws):
         draw = jax.tree.map(lambda a, at=number: a[at] if np.ndim(a) else a, batch.draws)
         rows, site = jax.tree.map(np.array, _measure(spec, samples, environment, draw))
@@ -86,9 +77,10 @@ def _measure(
 ) -> tuple[Array, Site]:
     """Return the measured increments (samples, 6) of a draw, and its site."""
     draws: Draw = jax.tree.map(lambda a: jnp.asarray(a)[None], draw)
-    derived = map_draws(partial(derive_inputs, spec, environment), draws)
-    draws = draws._replace(derived=derived)
-    tile = TileSensors(spec, environment, draws)
-    now, _ = tile.make_sampler(jnp.arange(samples))(tile.start(), jnp.arange(samples))
-    site = inputs_of(environment, jax.tree.map(lambda a: a[0], draws)).site
+    draws = derive_inputs(spec, environment, draws)
+    tile, all_ = TileSensors(spec, environment, draws), jnp.arange(samples)
+    now, _ = tile.make_sampler(all_)(tile.start(), all_)
+    site = environment.site
+    if draws.site is not None:
+        site = jax.tree.map(lambda a: a[0], draws.site)
     return jnp.stack([axis[:, 0] for axis in jax.tree.leaves(now)], axis=1), site
