@@ -1,4 +1,4 @@
-"""A run alone, and the measured increments of one draw, by the engine's only driver."""
+"""A run alone, by the engine's only driver."""
 
 from typing import Any
 
@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine.environment import Draw, Environment, RunParams, Static, derive_inputs
+from sinsjax.engine.environment import Draw, Environment, RunParams, Static
 from sinsjax.engine.lanes import Tiles
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.run import TileRuns, run_tile, set_up
-from sinsjax.engine.samples import build_sensors
-from sinsjax.types import Increments
 
 
 def first_lane(tree: Any) -> Any:
@@ -37,14 +35,3 @@ def run_alone(
     outcome, curves = run_tile(static, environment, tile, by_event=False)
     outcome = jax.tree.map(lambda a: a[0], outcome)
     return outcome, jax.tree.map(lambda a: a[..., 0], curves)
-
-
-def measure_alone(static: Static, environment: Environment, draw: Draw, numbers: Any) -> Increments:
-    """Measured increments of one draw from its first sample, leaves (n,)."""
-    draws = first_lane(draw)
-    derived = jax.vmap(lambda draw: derive_inputs(static, environment, draw))(draws)
-    sensors = build_sensors(static, environment, draws._replace(derived=derived))
-    numbers = jnp.asarray(numbers)
-    measure = sensors.make_sampler(numbers)
-    increments, _ = measure(sensors.initial_state(), jnp.arange(numbers.size))
-    return jax.tree.map(lambda a: a[:, 0], increments)
