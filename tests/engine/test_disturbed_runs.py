@@ -32,19 +32,6 @@ def test_disturbed_runs_do_not_depend_on_their_neighbours() -> None:
 
 
 @pytest.mark.nightly
-def test_surge_adds_the_same_whatever_else_disturbs() -> None:
-    surge = {"surge_m_per_s": [0.1, 0.2, 0.05], "lever_arm_m": [1.0, -0.5, 2.0]}
-    drifts = {"gyro_instability_deg_per_h": 0.05, "accel_rrw_ug_per_sqrt_h": 100.0}
-    added = [
-        records_of(small_study(sensors=sensors, motion=surge))
-        - records_of(small_study(sensors=sensors))
-        for sensors in ({}, drifts)
-    ]
-    np.testing.assert_allclose(*added, rtol=0, atol=1e-15)
-    assert np.abs(added[0]).max() > 1e-4
-
-
-@pytest.mark.nightly
 def test_record_samples_are_independent_of_duration_and_passes() -> None:
     whole = records_of(small_study(**disturbed_tables()))
     for samples, change in (

@@ -51,7 +51,8 @@ def by_times(run: Any, samples: Any) -> Any:
     return run(changed(run, resets=resets), run.draw(0)).last.phi.z
 
 
-SEVERAL = {"study": LENGTH | {"draws": 70}, "axes": {"phi_u0_deg": [0.0, 30.0, 90.0]}}
+LONG = {"study": LENGTH | {"draws": 70}}
+SEVERAL = LONG | {"axes": {"phi_u0_deg": [0.0, 30.0, 90.0]}}
 GRAVITY = {"specific_force": "gravity"}
 PASSES = {"passes": {"stored_s": 2.0, "passes": 3}}
 DRAWN = {
@@ -61,15 +62,16 @@ DRAWN = {
 }
 MANY = {"p0_yaw_deg": list(np.linspace(10.0, 80.0, 70))}
 SURGE = {"motion": STILL | {"surge_m_per_s": [0.1, 0.2, 0.05], "surge_model": "gauss_markov"}}
-DISTURBED_DRAWS = {"drawn": DRAWN_DISTURBANCES, "study": LENGTH | {"draws": 70}}
 CASES: dict[str, dict[str, Any]] = {
     "filter": {"resets": RESETS, "axes": AXES},
     "compass": {"alignment": {"method": "compass"}},
     "drawn": DRAWN,
     "shared covariance": {"study": LENGTH | {"draws": 9}, "alignment": GRAVITY, "axes": MANY},
-    "disturbed": disturbed_tables(**SEVERAL | {"drawn": DRAWN_DISTURBANCES}),
+    "disturbed": disturbed_tables(**SEVERAL, drawn=DRAWN_DISTURBANCES),
     "disturbed, passes": disturbed_tables(**SEVERAL | PASSES),
-    "disturbed, drawn, passes": disturbed_tables(**DISTURBED_DRAWS | PASSES, alignment=GRAVITY),
+    "disturbed, drawn, passes": disturbed_tables(
+        **LONG | PASSES, drawn=DRAWN_DISTURBANCES, alignment=GRAVITY
+    ),
     "disturbed, still": disturbed_tables(**SEVERAL | SURGE),
 }
 

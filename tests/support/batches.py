@@ -14,6 +14,9 @@ from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.run import run_tile
 from sinsjax.study.study import Study
 
+Run = tuple[int, int]
+"""Draw and variant."""
+
 
 def batch_of(study: Study) -> Batch:
     """Return the only batch of a study."""
@@ -50,10 +53,8 @@ def last_draws(runs: Batch, first: int) -> Batch:
     return runs.select(np.arange(first, draws), np.arange(variants))
 
 
-def lay_out(
-    study: Study, tiles_per_chunk: int | None
-) -> list[tuple[list[tuple[int, int]], list[tuple[int, int]]]]:
-    """Return, chunk by chunk, the runs of its lanes as (draw, variant): planned, and in its tiles.
+def lay_out(study: Study, tiles_per_chunk: int | None) -> list[tuple[list[Run], list[Run]]]:
+    """Return, chunk by chunk, the runs of its lanes: as planned, and as its tiles have them.
 
     The p0 of the last state, in degrees, numbers the variants from 1.
     """
