@@ -6,9 +6,9 @@ import pytest
 from support.studies import small_study
 
 from sinsjax.engine import duplicates
-from sinsjax.execution import run as study_run
+from sinsjax.execution.run import run
+from sinsjax.execution.study_results import Results
 from sinsjax.execution.tasks import Job, TaskRunner
-from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -20,34 +20,23 @@ SWEPT: dict[str, Any] = {
 """160 variants of which 82 differ: without resets no cycle acts."""
 
 
-@pytest.fixture(scope="module")
-def study() -> Study:
-    return small_study(**SWEPT)
-
-
-def apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Makes every variant be computed."""
-    monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
-
-
 @pytest.mark.nightly(fast=("False",))
 @pytest.mark.parametrize("curves", [False, True])
 def test_deduplicated_rows_equal_rows_of_all_variants_computed(
-    study: Study, curves: bool, monkeypatch: pytest.MonkeyPatch
+    curves: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    together = study_run.run(study, curves=curves, chunk_runs=128)
-    apart(monkeypatch)
-    singly = study_run.run(study, curves=curves, chunk_runs=128)
+    """All runs are counted, but they take half as many chunks."""
+    study = small_study(**SWEPT)
+
+    def compute() -> tuple[list[int], Results]:
+        (tasks,) = TaskRunner(Job(study, chunk_runs=128)).plan_tasks()
+        return [task.runs for task in tasks], run(study, curves=curves, chunk_runs=128)
+
+    counts, together = compute()
+    monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
+    all_counts, singly = compute()
     for one, other in zip(together, singly, strict=True):
         assert one.equals(other)
-    assert together.summary.num_rows == study.n_draws * study.n_variants
-
-
-def test_duplicate_variants_are_computed_once_but_all_runs_counted(study: Study) -> None:
-    runner = TaskRunner(Job(study))
-    (computed,) = [same.computed for same in runner._duplicates if same is not None]
-    assert len(computed) == 2 * (1 + len(CYCLES))
-    (tasks,) = runner.plan_tasks()
-    assert sum(task.runs for task in tasks) == study.n_draws * study.n_variants
-    for task in tasks:
-        assert runner.compute_tables(task).tables["summary"].num_rows == task.runs
+    runs = study.n_draws * study.n_variants
+    assert together.summary.num_rows == sum(counts) == sum(all_counts) == runs
+    assert 2 * len(counts) <= len(all_counts)

@@ -5,25 +5,31 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from support.studies import small_study, small_tables
+from support.batches import all_runs, assert_same, batch_of, runs_of_variant
+from support.studies import (
+    DRAWN_DISTURBANCES,
+    STILL,
+    disturbed_tables,
+    small_study,
+    small_tables,
+    with_paper_values,
+)
 
 import sinsjax
 from sinsjax.errors import InputError
+from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 from sinsjax.units import ARCMIN, DEG
 
 pytestmark = pytest.mark.optimised(False)
 
 LENGTH: dict[str, Any] = {"duration_s": 10.0, "window_s": [2, 10], "draws": 3}
+LENGTH["settle_bands_arcmin"] = [2000.0, 1000.0]
 RESETS = {"reset_times_s": [3.0, 6.0]}
 AXES = {"phi_u0_deg": [10.0, 30.0]}
-
-
-def rows_of(study: Any, variant_id: int, stored: Any = None) -> list[dict[str, Any]]:
-    table = sinsjax.run(study, stored).summary.to_pylist()
-    return [row for row in table if row["variant_id"] == variant_id]
 
 
 @pytest.fixture(scope="module")
@@ -45,95 +51,103 @@ def by_times(run: Any, samples: Any) -> Any:
     return run(changed(run, resets=resets), run.draw(0)).last.phi.z
 
 
+LONG = {"study": LENGTH | {"draws": 70}}
+SEVERAL = LONG | {"axes": {"phi_u0_deg": [0.0, 30.0, 90.0]}}
+GRAVITY = {"specific_force": "gravity"}
+PASSES = {"passes": {"stored_s": 2.0, "passes": 3}}
+DRAWN = {
+    "motion": {"pitch_period_s": None},
+    "drawn": {"pitch_period_s": {"uniform": [4.0, 8.0]}, "phi_n0_deg": {"uniform": [-5, 5]}},
+    "alignment": {"phi_n0_deg": None},
+}
+MANY = {"p0_yaw_deg": list(np.linspace(10.0, 80.0, 70))}
+SURGE = {"motion": STILL | {"surge_m_per_s": [0.1, 0.2, 0.05], "surge_model": "gauss_markov"}}
 CASES: dict[str, dict[str, Any]] = {
     "filter": {"resets": RESETS, "axes": AXES},
     "compass": {"alignment": {"method": "compass"}},
-    "drawn": {
-        "motion": {"pitch_period_s": None},
-        "drawn": {"pitch_period_s": {"uniform": [4.0, 8.0]}, "phi_n0_deg": {"uniform": [-5, 5]}},
-        "alignment": {"phi_n0_deg": None},
-    },
+    "drawn": DRAWN,
+    "shared covariance": {"study": LENGTH | {"draws": 9}, "alignment": GRAVITY, "axes": MANY},
+    "disturbed": disturbed_tables(**SEVERAL, drawn=DRAWN_DISTURBANCES),
+    "disturbed, passes": disturbed_tables(**SEVERAL | PASSES),
+    "disturbed, drawn, passes": disturbed_tables(
+        **LONG | PASSES, drawn=DRAWN_DISTURBANCES, alignment=GRAVITY
+    ),
+    "disturbed, still": disturbed_tables(**SEVERAL | SURGE),
 }
 
 
-OPTIMISED = [pytest.param("filter", marks=pytest.mark.optimised(True)), "compass", "drawn"]
-
-
 @pytest.mark.nightly  # tests/methods/test_level.py has a fast one
-@pytest.mark.parametrize("name", OPTIMISED)
-def test_one_run_is_bit_identical_to_study_row(name: str) -> None:
-    study = small_study(study=LENGTH, **CASES[name])
-    variant_id = study.n_variants - 1
-    run = sinsjax.one_run(study, variant_id=variant_id)
-    for number, row in enumerate(rows_of(study, variant_id)):
-        outcome = run(run.params, run.draw(number))
-        found = [angle / ARCMIN for angle in outcome.last.phi]
-        assert found == [row[f"phi_{axis}_arcmin"] for axis in "enu"]
-
-
-@pytest.mark.nightly
-def test_one_run_can_be_vmapped_over_draws() -> None:
-    """Which have noise and numbers of their own."""
-    run = sinsjax.one_run(small_study(study=LENGTH, **CASES["drawn"]))
+@pytest.mark.parametrize(
+    "name", [pytest.param("filter", marks=pytest.mark.optimised(True)), *[*CASES][1:]]
+)
+def test_one_run_equals_run_of_any_chunk(name: str) -> None:
+    """To the last bit, or to rounding if it is mapped over draws, where no run shares its P."""
+    study = small_study(**{"study": LENGTH} | CASES[name])
+    run = sinsjax.one_run(study, variant_id=study.n_variants - 1)
+    whole, _ = all_runs(batch_of(study))
+    assert_same(whole, all_runs(batch_of(study), devices=2, tiles_per_chunk=2)[0])
+    whole = runs_of_variant(whole, study, study.n_variants - 1)
     mapped = jax.jit(jax.vmap(run, in_axes=(None, 0)))(run.params, run.draws)
-    for number in range(LENGTH["draws"]):
-        found = run(run.params, run.draw(number)).last.phi
-        together = [angle[number] for angle in mapped.last.phi]
-        np.testing.assert_allclose(together, found, rtol=1e-9)
+    assert_same(mapped, whole, 1e-9)
+    for number in (0, study.n_draws - 1):
+        alone = run(run.params, run.draw(number))
+        assert_same(alone, jax.tree.map(lambda a, n=number: a[n], whole))
 
 
 @pytest.mark.nightly
-def test_one_run_of_record_matches_study_at_each_start_time(study: Any) -> None:
-    stored = sinsjax.simulated_record(small_study(study=LENGTH | {"duration_s": 30.0}))
-    time = np.arange(1, len(stored.dv) + 1) / stored.rate_hz
-    stored = sinsjax.record_from_arrays(
-        time, stored.dtheta, stored.dv, gyro_unit="rad", accel_unit="m_per_s"
-    )
-    tables = small_tables(study={"duration_s": 10.0, "rate_hz": None, "draws": None})
-    tables = {name: tables[name] for name in ("study", "earth", "alignment", "filter")}
-    tables["study"] = {"duration_s": 10.0}
+def test_one_run_of_record_matches_study_at_each_start_time() -> None:
+    made = sinsjax.simulated_record(small_study(study={"duration_s": 30.0}))
+    tables = {name: small_tables()[name] for name in ("earth", "alignment", "filter")}
+    tables["study"] = {"duration_s": 10.0, "rate_hz": 100.0}
     tables["record"] = {"format": "arrays", "start_s": [0.0, 5.0]}
     tables["coarse"] = {"coarse_method": "inertial", "coarse_duration_s": 10.0}
-    recorded = study_from_dict(tables)
-    run = sinsjax.one_run(recorded, stored)
-    for number, row in enumerate(rows_of(recorded, 0, stored)):
+    given = study_from_dict(tables), StoredRecord(made, None)
+    run = sinsjax.one_run(*given)
+    for number, row in enumerate(sinsjax.run(*given).summary.to_pylist()):
         assert float(run(run.params, run.draw(number)).last.yaw / DEG) == row["yaw_deg"]
 
 
 @pytest.mark.nightly
-def test_forward_and_reverse_derivatives_by_r_match_finite_difference(run: Any) -> None:
-    """Through feedback and resets."""
+def test_derivatives_by_r_p0_and_q_match_finite_differences(run: Any) -> None:
+    """Forward and reverse, through feedback and resets, by relative changes of the numbers."""
+    method = run.params.method
 
-    def error(r: Any) -> Any:
-        return run(changed(run, r=r), run.draw(0)).last.phi.z
+    def errors(scales: Any) -> Any:
+        r, yaw, q = scales
+        numbers = {"r": method.r * r, "q": tuple(q * value for value in method.q)}
+        numbers["p0"] = (*method.p0[:4], method.p0[4] * yaw)
+        outcome = run(changed(run, **numbers), run.draw(0))
+        last, means, stds = outcome.last, outcome.mean[:3], outcome.std[:3]
+        return jnp.stack([*last.phi, *last.sigma, *means, *stds]) / ARCMIN
 
-    r = float(run.params.method.r)
+    step, one = 1e-4, np.ones(3)
+    forward = jax.jit(lambda scales, way: jax.jvp(errors, (scales,), (way,)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        slope = jax.jit(jax.grad(error))(r)
-    step = 1e-4 * r
-    forward = jax.jit(lambda r: jax.jvp(error, (r,), (1.0,)))
-    (above, _), (below, _), (_, tangent) = map(forward, (r + step, r - step, r))
-    apart = (above - below) / (2 * step)
-    assert apart
-    for found in (slope, tangent):
-        np.testing.assert_allclose(found, apart, rtol=1e-5)
+        reverse = jax.jit(jax.grad(lambda scales: errors(scales)[2]))(one)
+    for way, slope in zip(np.eye(3), reverse, strict=True):
+        _, derivative = forward(one, way)
+        up, down = (forward(one + sign * step * way, way)[0] for sign in (1, -1))
+        secant = (up - down) / (2 * step)
+        assert abs(secant[2]) > 1e-6
+        np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(slope, secant[2], rtol=1e-5)
 
 
 def test_zero_gradient_by_reset_times_or_feedback_interval_warns(run: Any) -> None:
-    samples = run.params.method.resets.samples
-    with pytest.warns(UserWarning, match="gradient by hard reset times is zero"):
-        slope = jax.eval_shape(jax.grad(partial(by_times, run)), samples)
-    assert slope.shape == samples.shape
-    with pytest.warns(UserWarning, match="gradient by feedback intervals is zero"):
-        every = run.params.method.feedback.every
-        feedback = run.params.method.feedback
+    """When it is traced, not when it has run."""
+    method = run.params.method
 
-        def by_interval(every: Any) -> Any:
-            changed_ = changed(run, feedback=feedback._replace(every=every))
-            return run(changed_, run.draw(0)).last.phi.z
+    def by_interval(every: Any) -> Any:
+        numbers = changed(run, feedback=method.feedback._replace(every=every))
+        return run(numbers, run.draw(0)).last.phi.z
 
-        jax.eval_shape(jax.grad(by_interval), every)  # when it is traced, not when it has run
+    for function, at, text in (
+        (partial(by_times, run), method.resets.samples, "hard reset times"),
+        (by_interval, method.feedback.every, "feedback intervals"),
+    ):
+        with pytest.warns(UserWarning, match=f"gradient by {text} is zero"):
+            assert jax.eval_shape(jax.grad(function), at).shape == np.shape(at)
 
 
 @pytest.mark.nightly
@@ -148,21 +162,25 @@ def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> Non
 
 @pytest.mark.nightly
 def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any) -> None:
-    def settling(run: Any, r: Any) -> Any:
-        return run(changed(run, r=r), run.draw(0)).outside_until.sum()
+    for one in (run, sinsjax.one_run(study, variant_id=1, sharpness=8.0)):
+        r, step = float(run.params.method.r), 1e-4
 
-    r = float(run.params.method.r)
-    slopes = [
-        float(jax.jit(partial(jax.jvp, partial(settling, one)))((r,), (r,))[1])
-        for one in (run, sinsjax.one_run(study, variant_id=1, sharpness=8.0))
-    ]
-    assert slopes[0] == 0 and slopes[1] != 0
+        def settling(scale: Any, one: Any = one, r: float = r) -> Any:
+            return one(changed(one, r=r * scale), one.draw(0)).outside_until.sum()
+
+        settled = jax.jit(lambda scale, of=settling: jax.jvp(of, (scale,), (1.0,)))
+        (up, _), (down, _), (_, slope) = map(settled, (1 + step, 1 - step, 1.0))
+        assert (slope != 0) == (one is not run)
+        np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-5)
 
 
 def test_invalid_one_run_request_is_refused_in_one_line(study: Any, run: Any) -> None:
     compass = small_study(study=LENGTH, alignment={"method": "compass"})
     waiting = small_study(study=LENGTH, resets=RESETS | {"reset_at_feedback": True})
+    tables = {"study": {"duration_s": 6.0, "rate_hz": 100.0}, "record": {"format": "psins"}}
+    recorded = study_from_dict(with_paper_values(tables))
     for call, text in (
+        (lambda: sinsjax.one_run(recorded), "reads a record, none is given"),
         (lambda: sinsjax.one_run(study, variant_id=2), "variant 2"),
         (lambda: run.draw(3), "draw 3"),
         (lambda: sinsjax.one_run(study, window_s=0.0), "window_s"),

@@ -1,274 +1,146 @@
-from functools import cache, partial
+"""Whole runs against loops and metrics in plain NumPy."""
 
-import jax
-import jax.numpy as jnp
+from typing import Any, NamedTuple
+
 import numpy as np
 import pytest
-from oracles.in_engine import (
-    ARCMIN,
-    DEG_PER_H,
-    PAPER1,
-    UG,
-    navigation,
-    paper_filter,
-    params,
-    runner,
-    site,
-    swing_increments,
-)
-from oracles.naive import (
-    DEG,
-    PAPER,
-    closed_loop,
-    exp,
-    judge,
-    log,
-    of_quaternion,
-    quaternion,
-    wound_back,
-)
+from oracles.in_engine import ARCMIN, DEG_PER_H, PAPER1, UG, paper_filter, swing_increments
+from oracles.naive import DEG, PAPER, closed_loop, euler_matrix, exp, judge, log, wound_back
 from scipy.spatial.transform import Rotation
-from support.alone import measure_alone, run_alone
+from support.batches import records_of
+from support.studies import small_study
 
-from sinsjax.engine.environment import (
-    CoarseStage,
-    Draw,
-    Environment,
-    RunParams,
-    SensorModel,
-    SensorProgram,
-    Static,
-    Truth,
-)
-from sinsjax.engine.metrics import Criteria
-from sinsjax.methods.floors import MeanBiases
-from sinsjax.methods.method import Options
-from sinsjax.strapdown import sensors
-from sinsjax.types import Quat, Vec3
+import sinsjax
 
 pytestmark = pytest.mark.optimised(False)
 
-RATE, LATITUDE, SEED = 100, 32 * DEG, 11
-PHI0, V0 = np.array([2.0, -3.0, 10.0]) * DEG, (0.1, -0.2)
+RATE, LATITUDE = 100, 32 * DEG
+START = {"phi_e0_deg": 2.0, "phi_n0_deg": -3.0, "phi_u0_deg": 10.0}
+START |= {"ve0_m_per_s": 0.1, "vn0_m_per_s": -0.2}
 BIAS = np.array([0.1 * DEG_PER_H] * 3 + [500 * UG] * 3)
-NOISE = BIAS / RATE
-FLOOR = -20 * ARCMIN
-BANDS = np.array([600.0, 60.0, 10.0]) * ARCMIN
-WINDOW, AFTER = (2.0, 6.0), (1.0, 1.0, 4.0)
-WHOLE, DRAW = 900, 5
-
-run = jax.jit(run_alone, static_argnums=0)
+NOISELESS = dict.fromkeys(("gyro_noise_deg_per_h", "accel_noise_ug"), 0.0)
+AXES = ("phi_e", "phi_n", "phi_u", "pitch", "roll", "yaw")
+BANDS = (600.0, 60.0, 10.0)
 
 
-def static(every, records, repeats=False):
-    return Static(
-        "kalman5",
-        Options(1 / RATE),
-        every,
-        records,
-        True,
-        SensorProgram(noisy=True, distorted=True),
-        "alternate" if repeats else "once",
-    )
+def swinging(seconds: float, interval_s: float = 1.0, **tables: Any) -> Any:
+    """A study of one run of [P1]'s filter on its swinging base, with biases of the sensors."""
+    study = {"duration_s": seconds, "record_interval_s": interval_s, "draws": 1, "curves": True}
+    study |= {"window_s": [2, 6], "consistency_after_s": 1.0, "steady_after_s": 4.0}
+    study |= {"settle_bands_arcmin": BANDS, "success_band_arcmin": 60.0}
+    feedback = {"feedback_interval_s": 0.4, "feedback_time_constant_s": 2.0}
+    still = {"motion": {"yaw_center_deg": 0.0}, "alignment": START | feedback}
+    return small_study(**{"study": study} | still | tables)
 
 
-@cache
-def ideal():
-    """Ideal increments of [P1]'s swing; two extra rows in front belong to no run."""
-    rows = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=WHOLE)
-    return np.concatenate([np.full((2, 6), 1e3), rows])
+def angles(table: Any, *names: str) -> np.ndarray:
+    """Columns of angles, rad."""
+    units = {name: "arcmin" if name.startswith(("phi", "sigma")) else "deg" for name in names}
+    columns = [table[f"{name}_{unit}"].to_numpy() for name, unit in units.items()]
+    return np.stack(columns, axis=1) * [{"arcmin": ARCMIN, "deg": DEG}[u] for u in units.values()]
 
 
-def environment(every, records, noise=NOISE, stored=None):
-    times = stored_times_of(records, stored or records) * every / RATE
-    truth = np.array([quaternion(PAPER1.matrix(t)) for t in times])
-    errors = sensors.SensorErrors(
-        BIAS[:3], BIAS[3:], noise[:3], noise[3:], np.zeros((3, 3)), np.zeros((3, 3))
-    )
-    criteria = Criteria(BANDS, *map(np.float64, (*WINDOW, AFTER[0], AFTER[2])))
-    # The first row of truth belongs to another draw.
-    truth = np.stack([np.full_like(truth, np.nan), truth])
-    here = site(PAPER, LATITUDE)
-    east, zero = -np.tan(FLOOR) * here.place.rate_n, np.float64(0.0)
-    return Environment(
-        here,
-        SensorModel(ideal(), errors, np.asarray(SEED)),
-        Truth(truth),
-        criteria,
-        MeanBiases(Vec3(east, zero, zero), Vec3(zero, zero, zero), zero),
-        np.asarray(stored or records),
-    )
+def test_simulated_record_is_ideal_with_bias_and_noise() -> None:
+    ideal = swing_increments(PAPER1, PAPER, LATITUDE, rate=RATE, samples=900) + BIAS / RATE
+    quiet = records_of(swinging(9.0, sensors=NOISELESS))[0]
+    np.testing.assert_allclose(quiet, ideal, rtol=0, atol=1e-13)
+    noise = (records_of(swinging(9.0))[0] - ideal) / (BIAS / RATE)
+    assert abs(noise.mean()) < 0.05 and abs(noise.std() - 1) < 0.05
+    assert np.abs(np.corrcoef(noise.T) - np.eye(6)).max() < 0.15
 
 
-def stored_times_of(records, stored):
-    """Where on its record a run is after each record, in records: 1 2 3 2 1 0 1 2 3 ..."""
-    way = [*range(1, stored + 1), *reversed(range(stored))]
-    return np.array((way * records)[:records])
+class Way(NamedTuple):
+    """How a run reads its data; lengths in record intervals of so many samples."""
+
+    every: int
+    records: int
+    stored: int | None = None
+    coarse: int = 0
+    replays: bool = False
+    resets: str = "full"
 
 
-def one_run(filt):
-    q = Quat(*map(np.float64, quaternion(PAPER1.matrix(0.0))))
-    return RunParams(q, Vec3(*PHI0), *map(np.float64, V0), params(filt))
+WAYS = {
+    "once": Way(30, 23, resets="yaw"),
+    "seldom recorded": Way(70, 9, resets="scale"),
+    "passes": Way(30, 23, stored=7),
+    "one pass": Way(30, 23, stored=23),
+    "coarse": Way(30, 23, coarse=7),
+    "coarse and replayed": Way(30, 23, coarse=7, replays=True),
+}
 
 
-def draw(number=DRAW):
-    return Draw(np.asarray(number), np.asarray(2), np.asarray(1))
+@pytest.mark.nightly(fast=("passes",))
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+def test_run_matches_naive_loop_and_metrics(way: Way) -> None:
+    """From its start, or at rest and with P0 from what the coarse method has found.
 
-
-def naive_measured():
-    """Ideal increments, bias and the draw's own numbers."""
-    numbers = sensors.draw_normal_numbers(np.asarray(SEED), np.asarray(DRAW), np.arange(WHOLE))
-    normal = np.stack([*numbers.dtheta, *numbers.dv], axis=1).astype(float)
-    return ideal()[2:] + BIAS / RATE + NOISE * normal
-
-
-@pytest.mark.nightly(fast=("30-23-7",))
-@pytest.mark.parametrize(
-    ("every", "records", "stored"),
-    [(30, 23, None), (70, 9, None), (30, 23, 7), (30, 23, 23)],
-)
-def test_run_matches_naive_loop_and_metrics(every, records, stored):
-    """Forward over the data once, or over a record of some records forward and backward."""
-    filt = paper_filter(5, every=40, resets=(215, 400))
-    here = environment(every, records, stored=stored)
-    rows = naive_measured()[: every * (stored or records)]
-    c, v = exp(-PHI0) @ PAPER1.matrix(0.0), np.array(V0)
-    case = {"latitude": LATITUDE, "c": c, "v": v, "filt": filt, "count": every * records}
-    naive = closed_loop(rows, 1 / RATE, PAPER, **case)
-    at = np.arange(1, records + 1) * every
-    corrected = Rotation.from_rotvec(naive.x[:, 2:5]).as_matrix() @ naive.c
-    values, sigma = [], []
-    for k, place in zip(at, stored_times_of(records, stored or records), strict=True):
-        yaw, pitch, roll = Rotation.from_matrix(corrected[k - 1]).as_euler("ZXY")
-        phi = log(PAPER1.matrix(place * every / RATE) @ corrected[k - 1].T)
-        values.append([*phi, pitch, roll, yaw])
-        sigma.append(np.sqrt(np.diagonal(naive.p[k - 1])[2:5]))
-    values, sigma = np.array(values), np.array(sigma)
-    expected = judge(
-        at / RATE,
-        values,
-        sigma[:, 2],
-        p=naive.p[-1][2:5, 2:5],
-        floor=FLOOR,
-        bands=BANDS,
-        window=WINDOW,
-        after=AFTER,
-    )
-
-    program = static(every, records, repeats=stored is not None)
-    outcome, curves = run(program, here, draw(), one_run(filt))
-
-    close = {"rtol": 0, "atol": 1e-9}
-    got = np.stack([*curves.phi, curves.pitch, curves.roll, curves.yaw], axis=1)
-    np.testing.assert_allclose(got, values, **close)
-    np.testing.assert_allclose(np.stack(curves.sigma, axis=1), sigma, **close)
-    np.testing.assert_array_equal(outcome.outside_until, expected.outside_until)
-    np.testing.assert_allclose(outcome.mean, expected.mean, **close)
-    np.testing.assert_allclose(outcome.std, expected.std, **close)
-    np.testing.assert_allclose(outcome.above_share, expected.above_share, rtol=1e-12)
-    np.testing.assert_allclose(outcome.nees, expected.nees, rtol=1e-6)
-    np.testing.assert_allclose(outcome.nis_u, expected.nis_u, rtol=1e-6)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("replays", [False, True])
-def test_run_after_coarse_alignment_matches_naive_loop(replays):
-    """At rest and with P0; before, its attitude is the coarse method's own."""
-    every, records, first = 30, 23, 7
-    begin = first * every
-    filt = paper_filter(5, every=70, resets=(350,))
-    # Without noise, whose last bits differ: a heading of 2 s magnifies them.
-    rows = ideal()[2:][: every * records] + BIAS / RATE
-    here = environment(every, records, noise=0 * NOISE)
-    nav = navigation(np.eye(3), (0.0, 0.0), LATITUDE)
-    _, found, _ = runner("inertial")((), site(PAPER, LATITUDE), nav, rows[:begin])
-    found = of_quaternion(np.stack(found, axis=1)[every - 1 :: every])
-    c = wound_back(found[-1], rows[:begin], 1 / RATE, PAPER, LATITUDE) if replays else found[-1]
+    That has no noise, whose last bits differ: a heading of 2 s magnifies them.
+    """
+    every, records, begin = way.every, way.records, way.coarse * way.every
+    resets = {"reset_times_s": [2.15, 4.0], "reset_kind": way.resets, "reset_scale": 7.0}
+    tables: dict[str, Any] = {"resets": resets}
+    if way.stored:
+        tables["passes"] = {"stored_s": way.stored * every / RATE}
+    if begin:
+        then = "replay" if way.replays else "hand_over"
+        tables["coarse"] = {"coarse_duration_s": begin / RATE, "coarse_then": then}
+        tables["sensors"] = NOISELESS
+    study = swinging(every * records / RATE, every / RATE, **tables)
+    runs, rows = sinsjax.run(study), records_of(study)[0]
+    found = angles(runs.curves, *AXES)
+    c = exp(-np.array([2.0, -3.0, 10.0]) * DEG) @ PAPER1.matrix(0.0)
+    if begin:
+        c = euler_matrix(*found[way.coarse - 1, 3:])
+    if way.replays:
+        c = wound_back(c, rows[:begin], 1 / RATE, PAPER, LATITUDE)
     naive = closed_loop(
         rows,
         1 / RATE,
         PAPER,
         latitude=LATITUDE,
         c=c,
-        v=np.zeros(2),
-        filt=filt,
-        first=1 if replays else begin + 1,
+        v=np.zeros(2) if begin else np.array([0.1, -0.2]),
+        filt=paper_filter(
+            5, every=40, gain=1 - np.exp(-0.2), resets=(215, 400), kind=way.resets, factor=7.0
+        ),
+        count=every * records,
+        first=1 if way.replays else begin + 1,
     )
-    x, p, of_filter = (a[0 if not replays else begin :] for a in (naive.x, naive.p, naive.c))
-    corrected = Rotation.from_rotvec(x[:, 2:5]).as_matrix() @ of_filter
-    at = np.arange(1, records + 1) * every - 1
-    expected = np.concatenate([found, corrected[at[first:] - begin]])
-    truth = np.array([PAPER1.matrix((k + 1) / RATE) for k in at])
-    phi = log(truth @ np.swapaxes(expected, 1, 2))
-    program = static(every, records)._replace(coarse=CoarseStage("inertial", first, replays))
+    at = np.arange(way.coarse + 1, records + 1) * every
+    rows = at - 1 - (0 if way.replays else begin)
+    corrected = (exp(naive.x[:, 2:5]) @ naive.c)[rows]
+    stored = way.stored or records
+    places = [*range(1, stored + 1), *reversed(range(stored))] * records
+    truth = np.stack([PAPER1.matrix(places[k // every - 1] * every / RATE) for k in at])
+    yaw, pitch, roll = Rotation.from_matrix(corrected).as_euler("ZXY").T
+    phi = log(truth @ np.swapaxes(corrected, 1, 2))
+    values = np.column_stack([phi, pitch, roll, yaw])
+    sigma = np.sqrt(np.diagonal(naive.p, axis1=1, axis2=2))[rows, 2:5]
+    close = {"rtol": 0, "atol": 1e-8 if begin else 1e-9}
+    np.testing.assert_allclose(found[way.coarse :], values, **close)
+    sigmas = angles(runs.curves, "sigma_e", "sigma_n", "sigma_u")
+    np.testing.assert_allclose(sigmas[way.coarse :], sigma, **close)
+    assert np.isnan(sigmas[: way.coarse]).all()
+    if begin:
+        return
 
-    outcome, curves = run(program, here, draw(), one_run(filt))
-
-    np.testing.assert_allclose(np.stack(curves.phi, axis=1), phi, rtol=0, atol=1e-8)
-    sigma = np.sqrt(np.diagonal(p, axis1=1, axis2=2))[:, 2:5]
-    got = np.stack(curves.sigma, axis=1)
-    assert np.all(np.isnan(got[:first]))
-    np.testing.assert_allclose(got[first:], sigma[at[first:] - begin], rtol=0, atol=1e-9)
-    error = np.abs(phi[:, 2] - FLOOR)
-    late = [max((n for n, e in zip(at, error, strict=True) if e > b), default=-1) for b in BANDS]
-    np.testing.assert_array_equal(outcome.outside_until[0], (np.array(late) + 1) / RATE)
-    settings = one_run(filt)._replace(phi=Vec3(*np.zeros(3)), ve=np.float64(0.0))
-    other, _ = run(program, here, draw(), settings)
-    np.testing.assert_array_equal(other.mean, outcome.mean)
-
-
-def test_measured_increments_do_not_depend_on_requested_stretch():
-    """Any stretch gives the same numbers; another draw or seed gives others."""
-    here = environment(100, 9)
-    whole = measure(here, draw(), 0, 900)
-    # The last bits of a single-precision normal number are worth 1e-6 of the noise.
-    rounding = {"rtol": 0, "atol": 3e-6 * NOISE.max()}
-    np.testing.assert_allclose(whole, naive_measured(), **rounding)
-    cuts = (0, 277, 554, 831)
-    parts = [measure(here, draw(), a, b - a) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    np.testing.assert_allclose(np.concatenate(parts), whole[: cuts[-1]], **rounding)
-    assert not np.any(measure(here, draw(6), 0, 900) == whole)
-    other = here._replace(sensors=here.sensors._replace(seed=np.asarray(12)))
-    assert not np.any(measure(other, draw(), 0, 900) == whole)
-
-
-def measure(here, draw, first, samples):
-    now = _measure(here, draw, first, samples)
-    return np.stack([*now.dtheta, *now.dv], axis=1)
-
-
-@partial(jax.jit, static_argnums=3)
-def _measure(here, draw, first, samples):
-    program, numbers = static(100, 9), first + jnp.arange(samples)
-    return measure_alone(program, here, draw, numbers)
-
-
-@pytest.mark.nightly
-def test_derivatives_by_p0_and_q_match_secants():
-    """Forward mode through the whole closed loop, by P0 of the yaw and by a scale of Q."""
-    filt = paper_filter(5, every=40, resets=(215,))
-    here, program = environment(50, 12), static(50, 12)
-
-    def smooth(yaw, q):
-        start = one_run(filt)
-        method = start.method
-        changed = method._replace(
-            p0=(*method.p0[:4], method.p0[4] * yaw), q=tuple(q * value for value in method.q)
-        )
-        outcome, _ = run_alone(program, here, draw(), start._replace(method=changed))
-        return (1 / ARCMIN) * jnp.stack(
-            [*outcome.mean[:3], *outcome.std[:3], *outcome.last.phi, *outcome.last.sigma]
-        )
-
-    @jax.jit
-    def value_and_derivative(point, direction):
-        return jax.jvp(smooth, tuple(point), tuple(direction))
-
-    step = 1e-4
-    for direction in np.eye(2):
-        _, derivative = value_and_derivative(np.ones(2), direction)
-        up, _ = value_and_derivative(1 + step * direction, direction)
-        down, _ = value_and_derivative(1 - step * direction, direction)
-        secant = (up - down) / (2 * step)
-        assert np.abs(secant).min() > 1e-6
-        np.testing.assert_allclose(derivative, secant, rtol=1e-5, atol=1e-6)
+    expected = judge(
+        at / RATE,
+        values,
+        sigma[:, 2],
+        p=naive.p[-1][2:5, 2:5],
+        floor=np.nan,
+        bands=np.array(BANDS) * ARCMIN,
+        window=(2.0, 6.0),
+        after=(1.0, 1.0, 4.0),
+    )
+    for statistic in ("mean", "std"):
+        got = angles(runs.summary, *(f"{axis}_{statistic}" for axis in AXES))
+        np.testing.assert_allclose(got[0], getattr(expected, statistic), **close)
+    (row,) = runs.summary.to_pylist()
+    settled = [None if time == at[-1] / RATE else time for time in expected.outside_until[1]]
+    assert [row[f"settle_{band:g}_truth_s"] for band in BANDS] == pytest.approx(settled)
+    assert row["p_above_error_share"] == pytest.approx(expected.above_share[0])
+    assert row["p_above_error_steady_share"] == pytest.approx(expected.above_share[2])
+    assert row["nees"] == pytest.approx(expected.nees, rel=1e-6)

@@ -1,4 +1,4 @@
-"""A run alone, and the measured increments of one draw, by the engine's only driver."""
+"""A run alone, by the engine's only driver."""
 
 from typing import Any
 
@@ -6,11 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles, derive_inputs
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles
 from sinsjax.engine.metrics import Observation, Outcome
 from sinsjax.engine.run import TileRuns, run_tile, set_up
-from sinsjax.engine.samples import TileSensors
-from sinsjax.types import Increments
 
 
 def first_lane(tree: Any) -> Any:
@@ -36,15 +34,3 @@ def run_alone(
     outcome, curves = run_tile(spec, environment, tile, by_event=False)
     outcome = jax.tree.map(lambda a: a[0], outcome)
     return outcome, jax.tree.map(lambda a: a[..., 0], curves)
-
-
-def measure_alone(
-    spec: ProgramSpec, environment: Environment, draw: Draw, numbers: Any
-) -> Increments:
-    """Measured increments of one draw from its first sample, leaves (n,)."""
-    draws = derive_inputs(spec, environment, first_lane(draw))
-    sensors = TileSensors(spec, environment, draws)
-    numbers = jnp.asarray(numbers)
-    measure = sensors.make_sampler(numbers)
-    increments, _ = measure(sensors.start(), jnp.arange(numbers.size))
-    return jax.tree.map(lambda a: a[:, 0], increments)

@@ -115,6 +115,42 @@ def add_true_reference(record: Record) -> StoredRecord:
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
+DISTURBANCES: dict[str, dict[str, Any]] = {
+    "motion": {
+        "surge_m_per_s": [0.1, 0.2, 0.05],
+        "lever_arm_m": [1.0, -0.5, 2.0],
+        "vibration_ug_rms": 5000.0,
+        "vibration_deg_per_h_rms": 30.0,
+    },
+    "sensors": {
+        "gyro_instability_deg_per_h": 0.05,
+        "gyro_instability_time_s": 3.0,
+        "accel_instability_ug": [20.0, 30.0, 10.0],
+        "gyro_rrw_deg_per_h_per_sqrt_h": 1.0,
+        "accel_rrw_ug_per_sqrt_h": 100.0,
+        "gyro_quantisation_arcsec": 0.1,
+        "accel_quantisation_um_per_s": [10.0, 0.0, 50.0],
+    },
+}
+DRAWN_DISTURBANCES = {
+    "surge_m_per_s": {"uniform": [0.0, 0.2]},
+    "surge_time_s": {"uniform": [2.0, 8.0]},
+    "lever_arm_m": {"normal": [0.0, 1.0]},
+    "gyro_instability_deg_per_h": {"values": [0.01, 0.1]},
+    "accel_quantisation_um_per_s": {"uniform": [0.0, 50.0]},
+}
+
+
+def disturbed_tables(**changes: Any) -> dict[str, Any]:
+    """Return changes of `small_tables` with everything that disturbs, less what they draw."""
+    tables = {
+        name: {key: value for key, value in table.items() if key not in changes.get("drawn", {})}
+        for name, table in DISTURBANCES.items()
+    }
+    required = {"filter": {"r_velocity_m_per_s": 0.1}}  # if the surge is drawn
+    return tables | required | changes
+
+
 def refusal_line(**tables: Any) -> str:
     """Return the single error line of a small study with these changes."""
     with pytest.raises(InputError) as caught:
