@@ -80,7 +80,9 @@ def lay_out(study: Study, tiles_per_chunk: int | None) -> list[tuple[list[Run], 
     layout, chunks = runs.lay_out(tiles_per_chunk=tiles_per_chunk), []
     for number in range(len(layout)):
         places, active_lanes = layout[number], layout.active(number)
-        planned = list(zip(active_lanes.draw.tolist(), active_lanes.variant.tolist(), strict=True))
+        in_lanes = np.argsort(active_lanes.lane)
+        draws, variants = active_lanes.draw[in_lanes], active_lanes.variant[in_lanes]
+        planned = list(zip(draws.tolist(), variants.tolist(), strict=True))
         assert {layout.chunk_of(*run) for run in planned} == {number}
         tiles = layout.tiles_of(runs, number)
         ids = np.asarray(tiles.draws.draw_id).reshape(*places.draw.shape[:2], -1)
