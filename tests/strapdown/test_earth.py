@@ -30,8 +30,7 @@ def test_earth_rate_points_north_and_up_and_the_sphere_is_uniform(latitude_deg, 
     np.testing.assert_allclose(place.rate_n, rate * np.cos(latitude_deg * DEG), rtol=1e-14)
     np.testing.assert_allclose(place.rate_u, rate * np.sin(latitude_deg * DEG), rtol=1e-14)
     np.testing.assert_allclose(place.rate_u / place.rate_n, place.tan_latitude, rtol=1e-13)
-    assert place.rate_n > 0
-    assert np.sign(place.rate_u) == np.sign(latitude_deg)
+    assert place.rate_n > 0 and np.sign(place.rate_u) == np.sign(latitude_deg)
     if model == "sphere":
         np.testing.assert_allclose(place.gravity, 9.8, rtol=0)
         radii = 1 / place.curvature_n, 1 / place.curvature_e
