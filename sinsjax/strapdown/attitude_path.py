@@ -34,11 +34,9 @@ class AttitudePath(NamedTuple):
 
 
 def attitude_path(time_s: np.ndarray, attitude_deg: np.ndarray) -> AttitudePath:
-    """Return the path through some attitudes.
+    """Return the path through pitch, roll and yaw (n, 3), deg, at increasing times (n,), s.
 
-    Args:
-        time_s: (n,) increasing times, s.
-        attitude_deg: (n, 3) pitch, roll and yaw, deg; jumps by whole turns are removed.
+    Jumps by whole turns are removed.
     """
     # Slow to import, and only a file needs it.
     from scipy.interpolate import CubicSpline

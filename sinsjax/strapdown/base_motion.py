@@ -6,7 +6,6 @@ force are known in closed form at any time and are integrated over each sample b
 so the increments are independent of the mechanisation under test.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.maths.rotations import from_euler, multiply, sin_cos, sin_cos_near_zero
 from sinsjax.strapdown.attitude_path import AttitudePath
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.turns import AngleRates, SampleTurn, Turns
+from sinsjax.strapdown.turns import AngleRates, Turns
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
 
 _COUNT = 6
@@ -27,6 +26,12 @@ _WEIGHTS = 0.5 * _WEIGHTS
 """Gauss nodes after mid-sample, in half samples, and their weights in the mean over a sample."""
 
 _BATCH = 1000
+
+SinCos = tuple[Scalar, Scalar]
+"""Sine and cosine of an angle."""
+
+ByAngle = tuple[Any, ...]
+"""Three values: of pitch, roll and yaw."""
 
 
 class Sway(NamedTuple):
@@ -44,26 +49,19 @@ class Sway(NamedTuple):
     period: Scalar
     phase: Scalar
 
-    def angle(self, t: Scalar) -> Scalar:
-        """Angle at time t (s), rad."""
-        return self.center + self.amplitude * jnp.sin(self._argument(t))
-
-    def rate(self, t: Scalar) -> Scalar:
-        """Time derivative of the angle at t (s), rad/s."""
-        omega = 2 * jnp.pi / self.period
-        return self.amplitude * omega * jnp.cos(self._argument(t))
-
-    def acceleration(self, t: Scalar) -> Scalar:
-        """Second time derivative of the angle at t (s), rad/s^2."""
-        omega = 2 * jnp.pi / self.period
-        return -self.amplitude * omega * omega * jnp.sin(self._argument(t))
-
-    def phase_at(self, t: Scalar) -> tuple[Scalar, Scalar]:
-        """Sine and cosine of the argument at time t (s)."""
-        return sin_cos(self._argument(t))
-
-    def _argument(self, t: Scalar) -> Scalar:
+    def argument(self, t: Scalar) -> Scalar:
+        """Return the argument of the sine at a time (s), rad."""
         return 2 * jnp.pi * t / self.period + self.phase
+
+    def at(self, t: Scalar) -> AngleRates:
+        """Return the angle and its derivatives at a time (s)."""
+        x, omega = self.argument(t), 2 * jnp.pi / self.period
+        sin, cos = jnp.sin(x), jnp.cos(x)
+        return AngleRates(
+            self.center + self.amplitude * sin,
+            self.amplitude * omega * cos,
+            -self.amplitude * omega * omega * sin,
+        )
 
 
 class Motion(NamedTuple):
@@ -97,21 +95,22 @@ class Motion(NamedTuple):
         """Return whether the base does not only sway, so that its motion has no mean attitude."""
         return any(part is not None for part in (self.vertical, self.table, self.path))
 
-    def added_angles(self, t: Scalar) -> tuple[AngleRates | None, ...]:
-        """Return what is added to pitch, roll and yaw of the sways at a time (s); None: nothing."""
-        return _add_yaw(
-            (None,) * 3 if self.path is None else self.path.at(t),
-            None if self.vertical is None else self.vertical.at(t),
-        )
+    def at(self, t: Scalar) -> tuple[AngleRates, ...]:
+        """Return pitch, roll and yaw with their derivatives at a time (s)."""
+        added = self.added_angles(t, self.vertical and self.vertical.at(t))
+        return tuple(sway.at(t).plus(more) for sway, more in zip(self.angles, added, strict=True))
+
+    def added_angles(self, t: Scalar, turn: AngleRates | None) -> tuple[AngleRates | None, ...]:
+        """Return what a turn about the vertical and the path at a time (s) add to the sways."""
+        if self.path is None:
+            return None, None, turn
+        pitch, roll, yaw = self.path.at(t)
+        return pitch, roll, yaw.plus(turn)
 
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
     """Return the true attitude, body to navigation frame, at time t (s)."""
-    angles = [sway.angle(t) for sway in motion.angles]
-    for axis, added in enumerate(motion.added_angles(t)):
-        if added is not None:
-            angles[axis] = angles[axis] + added.angle
-    q = from_euler(*angles)
+    q = from_euler(*(angle.angle for angle in motion.at(t)))
     if motion.table is None:
         return q
     half = 0.5 * motion.table.at(t).angle
@@ -125,44 +124,10 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     w_nb^b follows from the Euler rates: the yaw rate resolved through pitch and roll, the pitch
     rate through roll. The centre of the sway has no velocity.
     """
-    angles = [sway.angle(t) for sway in motion.angles]
-    rates = [sway.rate(t) for sway in motion.angles]
-    bends = [sway.acceleration(t) for sway in motion.angles]
-    for axis, added in enumerate(motion.added_angles(t)):
-        if added is not None:
-            angles[axis] = angles[axis] + added.angle
-            rates[axis] = rates[axis] + added.rate
-            bends[axis] = bends[axis] + added.acceleration
-    now = Sines(*map(sin_cos, angles))
-    table = None if motion.table is None else motion.table.at(t)
-    body = _motion_in_body(place, motion.lever, now, EulerRates(*rates), EulerRates(*bends), table)
+    angles, rates, bends = zip(*motion.at(t), strict=True)
+    now, table = tuple(map(sin_cos, angles)), motion.table and motion.table.at(t)
+    body = _motion_in_body(place, motion.lever, now, rates, bends, table)
     return _rate_and_force_in_body(place, body)
-
-
-def _add_yaw(
-    angles: tuple[AngleRates | None, ...], turn: AngleRates | None
-) -> tuple[AngleRates | None, ...]:
-    """Return pitch, roll and yaw with a turn about the vertical."""
-    pitch, roll, yaw = angles
-    if turn is None or yaw is None:
-        return pitch, roll, turn if yaw is None else yaw
-    return pitch, roll, AngleRates(*map(jnp.add, yaw, turn))
-
-
-class Sines(NamedTuple):
-    """Sine and cosine of each Euler angle."""
-
-    pitch: tuple[Scalar, Scalar]
-    roll: tuple[Scalar, Scalar]
-    yaw: tuple[Scalar, Scalar]
-
-
-class EulerRates(NamedTuple):
-    """Time derivative of each Euler angle, rad/s; or the second one, rad/s^2."""
-
-    pitch: Scalar
-    roll: Scalar
-    yaw: Scalar
 
 
 class Axes(NamedTuple):
@@ -173,49 +138,33 @@ class Axes(NamedTuple):
     up: Vec3
 
 
-class InBody(NamedTuple):
-    """The motion of the sensors in the body frame, before Earth rate and gravity are applied.
-
-    Attributes:
-        axes: of n.
-        rate: angular rate of b relative to the Earth, in b, rad/s.
-        force: specific force apart from gravity, in b, m/s^2; None without a lever arm.
-    """
-
-    axes: Axes
-    rate: Vec3
-    force: Vec3 | None
+InBody = tuple[Axes, Vec3, Vec3 | None]
+"""The axes of n, the angular rate of b relative to the Earth (rad/s), and the specific force apart
+from gravity (m/s^2), in b; None without a lever arm."""
 
 
 def _motion_in_body(
     place: Place,
     lever: Vec3 | None,
-    now: Sines,
-    rates: EulerRates,
-    bends: EulerRates,
-    table: AngleRates | None = None,
+    now: ByAngle,
+    rates: ByAngle,
+    bends: ByAngle,
+    table: AngleRates | None,
 ) -> InBody:
-    """Return the motion at an attitude from the first two derivatives of its Euler angles.
+    """Return the motion at an attitude, for a lever arm (m).
 
-    Args:
-        place: Earth rates.
-        lever: from the centre of the sway to the sensors, in b, m; None where they are in it.
-        now: Euler angles of the vehicle.
-        rates: their first derivatives.
-        bends: their second derivatives.
-        table: angle of b in the vehicle, about the z axis of both; None without a turntable.
+    ``now`` has the `SinCos` of the Euler angles of the vehicle; ``rates`` (rad/s) and ``bends``
+    (rad/s^2) are their derivatives. ``table`` turns b in the vehicle, about the z axis of both.
     """
-    axes, rate = axes_in_body(now), _rate_in_body(now, rates)
+    axes, rate = _axes_in_body(now), _rate_in_body(now, rates)
     swing = rate
     if table is not None:
         sines = sin_cos(table.angle)
         axes, swing = Axes(*(_on_table(sines, axis) for axis in axes)), _on_table(sines, rate)
         rate = swing._replace(z=swing.z + table.rate)
     if lever is None:
-        return InBody(axes, rate, None)
-    turning = Sines(
-        *((cos * w, -sin * w) for (sin, cos), w in zip(now, rates, strict=True))
-    )  # derivatives of the sines
+        return axes, rate, None
+    turning = tuple((cos * w, -sin * w) for (sin, cos), w in zip(now, rates, strict=True))
     _, bend = jax.jvp(_rate_in_body, (now, rates), (turning, bends))
     if table is not None:
         across = Vec3(table.rate * swing.y, -table.rate * swing.x, table.acceleration)
@@ -224,27 +173,24 @@ def _motion_in_body(
     earth = add(scale(2 * place.rate_n, axes.north), scale(2 * place.rate_u, axes.up))
     force = add(cross(bend, lever), cross(add(rate, earth), velocity))
     east, north = dot(axes.east, velocity), dot(axes.north, velocity)
-    return InBody(axes, add(rate, transport_rate(place, axes, east, north)), force)
+    return axes, add(rate, transport_rate(place, axes, east, north)), force
 
 
-def _on_table(sines: tuple[Scalar, Scalar], a: Vec3) -> Vec3:
+def _on_table(sines: SinCos, a: Vec3) -> Vec3:
     """Return a vector of the vehicle in the axes of a body turned about its z axis."""
     sin, cos = sines
     return Vec3(cos * a.x + sin * a.y, cos * a.y - sin * a.x, a.z)
 
 
-def _rate_in_body(now: Sines, rates: EulerRates) -> Vec3:
+def _rate_in_body(now: ByAngle, rates: ByAngle) -> Vec3:
     """Return w_nb^b from the Euler rates."""
     (sp, cp), (sr, cr), _ = now
-    across = rates.yaw * cp
-    return Vec3(
-        rates.pitch * cr - across * sr,
-        rates.roll + rates.yaw * sp,
-        rates.pitch * sr + across * cr,
-    )
+    pitch, roll, yaw = rates
+    across = yaw * cp
+    return Vec3(pitch * cr - across * sr, roll + yaw * sp, pitch * sr + across * cr)
 
 
-def axes_in_body(now: Sines) -> Axes:
+def _axes_in_body(now: ByAngle) -> Axes:
     """Return the axes of n in b: the rows of C_b^n."""
     (sp, cp), (sr, cr), (sy, cy) = now
     tilted, leaning = cy * sp, sy * sp
@@ -269,40 +215,25 @@ def _rate_and_force_in_body(place: Place, body: InBody) -> tuple[Vec3, Vec3]:
 
     Both are linear in ``body``: the mean over a time gives the mean rate and force.
     """
-    earth = add(scale(place.rate_n, body.axes.north), scale(place.rate_u, body.axes.up))
-    gravity = scale(place.gravity, body.axes.up)
-    force = gravity if body.force is None else add(gravity, body.force)
-    return add(earth, body.rate), force
+    axes, rate, force = body
+    earth = add(scale(place.rate_n, axes.north), scale(place.rate_u, axes.up))
+    gravity = scale(place.gravity, axes.up)
+    return add(earth, rate), gravity if force is None else add(gravity, force)
 
 
-class Advance(NamedTuple):
-    """Phase advance of a `Sway` from mid-sample to the later Gauss nodes.
-
-    Attributes:
-        sin: (nodes / 2,) sine of the advance; its negative holds at the earlier nodes.
-        versed: (nodes / 2,) cosine of the advance minus 1.
-    """
-
-    sin: Array
-    versed: Array
-
-
-class Nodes(NamedTuple):
-    """`Advance` of each Euler angle, the same for all samples of a motion."""
-
-    pitch: Advance
-    roll: Advance
-    yaw: Advance
+Nodes = tuple[tuple[Array, Array], ...]
+"""Phase advance of each `Sway` from mid-sample to the later Gauss nodes, (nodes / 2,): its sine,
+whose negative holds at the earlier nodes, and its cosine minus 1. All samples share them."""
 
 
 def integration_nodes(motion: Motion, rate_hz: Scalar) -> Nodes:
     """Return the phase advances from mid-sample to the Gauss nodes, for samples at ``rate_hz``."""
 
-    def advance(sway: Sway, node: Scalar) -> Advance:
+    def advance(sway: Sway, node: Scalar) -> tuple[Scalar, Scalar]:
         sin, cos = sin_cos(0.5 * jnp.pi * node / (sway.period * rate_hz))
-        return Advance(2 * sin * cos, -2 * sin * sin)
+        return 2 * sin * cos, -2 * sin * sin
 
-    return Nodes(*(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion.angles))
+    return tuple(jax.vmap(partial(advance, sway))(jnp.asarray(_NODES)) for sway in motion.angles)
 
 
 class IdealSample(NamedTuple):
@@ -328,108 +259,67 @@ def ideal_sample(
 
     Args:
         motion: motion of the base.
-        ahead: its phase advances at this sample rate, see `integration_nodes`.
+        ahead: its `integration_nodes` at this sample rate.
         place: Earth rates and gravity.
         rate_hz: sample rate, Hz.
         k: number of the sample, which spans k/rate to (k+1)/rate.
     """
     middle = (k + 0.5) / rate_hz
-    added_at, table = _added_in_sample(motion, rate_hz, k)
+    both = motion.vertical, motion.table
+    vertical, table = (turns and turns.in_sample(rate_hz, k) for turns in both)
+
+    def added_at(node: Scalar) -> tuple[AngleRates | None, ...]:
+        time = (k + (0.5 + 0.5 * node)) / rate_hz
+        return motion.added_angles(time, vertical and vertical(node))
+
     waves = []
     for sway, turn in zip(motion.angles, added_at(0.0), strict=True):
-        sin, cos = (sway.amplitude * part for part in sway.phase_at(middle))
+        sin, cos = (sway.amplitude * part for part in sin_cos(sway.argument(middle)))
         angle = sway.center + sin if turn is None else sway.center + sin + turn.angle
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
 
+    def at_node(ahead: Nodes, node: Any, side: float) -> InBody:
+        def sines_and_rates(wave: tuple, advance: Any, there: AngleRates | None) -> ByAngle:
+            sin, cos, omega, here, turn = wave
+            later, versed = side * advance[0], advance[1]
+            change = sin * versed + cos * later
+            rate = omega * (cos + (cos * versed - sin * later))
+            bend = -omega * omega * (sin + change)
+            if there is not None:
+                change = change + (there.angle - turn.angle)
+                rate, bend = rate + there.rate, bend + there.acceleration
+            (s, c), (ds, dc) = here, sin_cos_near_zero(change)
+            return (s * dc + c * ds, c * dc - s * ds), rate, bend
+
+        added = added_at(side * node) if motion.turns else (None,) * 3
+        now, rates, bends = zip(*map(sines_and_rates, waves, ahead, added), strict=True)
+        turned = table and table(side * node)
+        return _motion_in_body(place, motion.lever, now, rates, bends, turned)
+
     def at_pair(ahead: Nodes, node: Any) -> InBody:
-        sides = []
-        for side in (-1.0, 1.0):
-            sines, rates, bends = [], [], []
-            added = added_at(side * node) if motion.turns else (None,) * 3
-            for (sin, cos, omega, here, turn), advance, there in zip(
-                waves, ahead, added, strict=True
-            ):
-                later, versed = side * advance.sin, advance.versed
-                change = sin * versed + cos * later
-                rate = omega * (cos + (cos * versed - sin * later))
-                bend = -omega * omega * (sin + change)
-                if turn is not None and there is not None:
-                    change = change + (there.angle - turn.angle)
-                    rate, bend = rate + there.rate, bend + there.acceleration
-                sines.append(_sin_cos_of_sum(here, sin_cos_near_zero(change)))
-                rates.append(rate)
-                bends.append(bend)
-            sides.append(
-                _motion_in_body(
-                    place,
-                    motion.lever,
-                    Sines(*sines),
-                    EulerRates(*rates),
-                    EulerRates(*bends),
-                    None if table is None else table.at(side * node, rate_hz),
-                )
-            )
-        return jax.tree.map(jnp.add, *sides)
+        return jax.tree.map(jnp.add, *(at_node(ahead, node, side) for side in (-1.0, 1.0)))
 
     # Mapped rather than unrolled: half the code to compile.
     pairs = jax.vmap(at_pair)(ahead, jnp.asarray(_NODES) if motion.turns else None)
     # A matrix product or a sum over an axis would become a loop that is not vectorised.
     mean = jax.tree.map(lambda a: sum(w * a[i] for i, w in enumerate(_WEIGHTS)), pairs)
-    increments = Increments(
-        *(scale(1 / rate_hz, part) for part in _rate_and_force_in_body(place, mean))
-    )
-    return IdealSample(increments, mean.axes)
-
-
-def _added_in_sample(
-    motion: Motion, rate_hz: Scalar, k: Scalar
-) -> tuple[Callable[[Scalar], tuple[AngleRates | None, ...]], SampleTurn | None]:
-    """Return `Motion.added_angles` of a node of sample k, and the turn of the table during it."""
-    vertical, table = (
-        None if turns is None else turns.of_sample(rate_hz, k)
-        for turns in (motion.vertical, motion.table)
-    )
-
-    def added(node: Scalar) -> tuple[AngleRates | None, ...]:
-        time = (k + (0.5 + 0.5 * node)) / rate_hz
-        return _add_yaw(
-            (None,) * 3 if motion.path is None else motion.path.at(time),
-            None if vertical is None else vertical.at(node, rate_hz),
-        )
-
-    return added, table
-
-
-def increment(motion: Motion, ahead: Nodes, place: Place, rate_hz: Scalar, k: Scalar) -> Increments:
-    """Return the increments of `ideal_sample`: angles (rad) and velocities (m/s) in b."""
-    return ideal_sample(motion, ahead, place, rate_hz, k).increments
-
-
-def _sin_cos_of_sum(a: tuple[Scalar, Scalar], b: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
-    """Sine and cosine of a sum of angles, from those of each."""
-    return a[0] * b[1] + a[1] * b[0], a[1] * b[1] - a[0] * b[0]
+    integrals = (scale(1 / rate_hz, part) for part in _rate_and_force_in_body(place, mean))
+    return IdealSample(Increments(*integrals), mean[0])
 
 
 def ideal_increments(
-    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
+    motion: Motion,
+    place: Place,
+    rate_hz: Scalar,
+    samples: int,
+    first: Scalar = 0.0,
+    *,
+    with_axes: bool = False,
 ) -> Array:
-    """Ideal sensor increments of samples from ``first`` on, (samples, 6), see `ideal_sample`."""
-    return _increment_rows(motion, place, rate_hz, samples, first, with_axes=False)
+    """Ideal sensor increments of samples from ``first`` on, (samples, 6), see `ideal_sample`.
 
-
-def ideal_increments_and_axes(
-    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar = 0.0
-) -> Array:
-    """Increments of samples from number ``first`` on, and the axes meanwhile, (samples, 15)."""
-    return _increment_rows(motion, place, rate_hz, samples, first, with_axes=True)
-
-
-def _increment_rows(
-    motion: Motion, place: Place, rate_hz: Scalar, samples: int, first: Scalar, *, with_axes: bool
-) -> Array:
-    """Return rows of samples, computed in two or more batches of equal size.
-
-    A shorter last batch, or a single one whose loop the compiler removes, would give other bits.
+    They are computed in two or more batches of equal size: a shorter last batch, or a single one
+    whose loop the compiler removes, would give other bits.
     """
     batches = max(2, -(-samples // _BATCH))
     numbers = first + jnp.arange(batches * _BATCH, dtype=float)
@@ -440,3 +330,7 @@ def _increment_rows(
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
     return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]
+
+
+ideal_increments_and_axes = partial(ideal_increments, with_axes=True)
+"""`ideal_increments` followed by the `Axes` of n over each sample, (samples, 15)."""

@@ -67,19 +67,21 @@ def driving_noise(
     disturbances: Disturbances, seed: Count, draw_id: Array, samples: Array
 ) -> Disturbances:
     """Return the driving noise of one draw or of many, leaves (n, *draws), see `processes`."""
-    made = processes.driving_noise(seed, draw_id, samples, _triads(disturbances))
-    return Disturbances(*(made.get(triad) for triad in _TRIADS))
+    return _by_process(processes.driving_noise(seed, draw_id, samples, _triads(disturbances)))
 
 
 def initial_states(disturbances: Disturbances, seed: Count, draw_id: Count) -> Disturbances:
     """Return the states of one draw's processes before its first sample."""
-    made = processes.initial_normal_numbers(seed, draw_id, _triads(disturbances))
-    normal = Disturbances(*(made.get(triad) for triad in _TRIADS))
-    return _map_present(processes.initial_state, disturbances, normal)
+    normal = processes.initial_normal_numbers(seed, draw_id, _triads(disturbances))
+    return _map_present(processes.initial_state, disturbances, _by_process(normal))
 
 
 def _triads(disturbances: Disturbances) -> tuple[int, ...]:
     return tuple(t for t, one in zip(_TRIADS, disturbances, strict=True) if one is not None)
+
+
+def _by_process(by_triad: dict[int, Any]) -> Disturbances:
+    return Disturbances(*map(by_triad.get, _TRIADS))
 
 
 def advance_processes(
@@ -90,13 +92,11 @@ def advance_processes(
     begins = _map_present(processes.process_output, disturbances, states)
     ends = _map_present(processes.process_output, disturbances, later)
     means = _map_present(processes.process_output, disturbances, states, normal)
-    return later, SampleDisturbance(
-        begins.surge,
-        ends.surge,
-        housing_motion(disturbances, later),
-        _drift_over_sample(means.gyro_instability, means.gyro_walk, dt),
-        _drift_over_sample(means.accel_instability, means.accel_walk, dt),
-    )
+    gyro = _add_optional(means.gyro_instability, means.gyro_walk)
+    accel = _add_optional(means.accel_instability, means.accel_walk)
+    drifts = (rate and scale(dt, rate) for rate in (gyro, accel))
+    housing = housing_motion(disturbances, later)
+    return later, SampleDisturbance(begins.surge, ends.surge, housing, *drifts)
 
 
 def housing_motion(disturbances: Disturbances, states: Disturbances) -> HousingMotion | None:
@@ -104,11 +104,9 @@ def housing_motion(disturbances: Disturbances, states: Disturbances) -> HousingM
     shaking, rocking = disturbances.shaking, disturbances.rocking
     if shaking is None and rocking is None:
         return None
-    velocity = None if shaking is None else processes.process_output(shaking, states.shaking)
-    if rocking is None:
-        return HousingMotion(None, None, velocity)
-    angle = processes.process_output(rocking, states.rocking)
-    return HousingMotion(angle, processes.process_derivative(rocking, states.rocking), velocity)
+    rate = rocking and rocking._replace(output=rocking.derivative)
+    rows = (rocking, states.rocking), (rate, states.rocking), (shaking, states.shaking)
+    return HousingMotion(*(one and processes.process_output(one, state) for one, state in rows))
 
 
 def _map_present(function: Callable[..., Any], *trees: Disturbances) -> Disturbances:
@@ -117,46 +115,35 @@ def _map_present(function: Callable[..., Any], *trees: Disturbances) -> Disturba
     return Disturbances(*(None if row[0] is None else function(*row) for row in rows))
 
 
-def _drift_over_sample(instability: Vec3 | None, walk: Vec3 | None, dt: Scalar) -> Vec3 | None:
-    rate = add_optional(instability, walk) if instability is not None else walk
-    return None if rate is None else scale(dt, rate)
-
-
-def add_optional(a: Vec3, b: Vec3 | None) -> Vec3:
-    """Return the sum of a vector and an optional one."""
-    return a if b is None else add(a, b)
+def _add_optional(a: Any, b: Any) -> Any:
+    """Return the sum of two vectors of which either may be None, for zero."""
+    return a if b is None else b if a is None else add(a, b)
 
 
 def disturb_motion(
     sensed: IdealSample, disturbed: SampleDisturbance, place: Place, dt: Scalar
 ) -> Increments:
-    """Return the increments of ideal sensors on a base that surges.
+    """Return the increments of ideal sensors on a base that surges, from those of one that sways.
 
-    The velocity changes evenly over the sample: the acceleration of the surge and the Coriolis
-    acceleration of its mean velocity are integrated as the axes turn, and n turns over the Earth.
-
-    Args:
-        sensed: on the swaying base, with the mean axes of n in b.
-        disturbed: what happens over the sample.
-        place: Earth rates and curvatures.
-        dt: sample time, s.
+    The velocity changes evenly over the sample of ``dt`` s: the acceleration of the surge and the
+    Coriolis acceleration of its mean velocity are integrated as the axes turn, and n turns over the
+    Earth.
     """
     dtheta, dv = sensed.increments
-    if disturbed.before is not None and disturbed.after is not None:
-        assert sensed.axes is not None
-        axes, before, after = sensed.axes, disturbed.before, disturbed.after
-        mean = scale(0.5, add(before, after))
-        rate = Vec3(jnp.zeros_like(mean.x), 2 * place.rate_n, 2 * place.rate_u)
-        change = add(scale(dt, cross(rate, mean)), add(after, scale(-1.0, before)))
-        level = add(scale(change.x, axes.east), scale(change.y, axes.north))
-        dv = add(dv, add(level, scale(change.z, axes.up)))
-        dtheta = add(dtheta, scale(dt, transport_rate(place, axes, mean.x, mean.y)))
+    before, after, axes = disturbed.before, disturbed.after, sensed.axes
+    if before is None or after is None:
+        return Increments(dtheta, dv)
+    assert axes is not None
+    mean = scale(0.5, add(before, after))
+    rate = Vec3(jnp.zeros_like(mean.x), 2 * place.rate_n, 2 * place.rate_u)
+    change = add(scale(dt, cross(rate, mean)), add(after, scale(-1.0, before)))
+    level = add(scale(change.x, axes.east), scale(change.y, axes.north))
+    dv = add(dv, add(level, scale(change.z, axes.up)))
+    dtheta = add(dtheta, scale(dt, transport_rate(place, axes, mean.x, mean.y)))
     return Increments(dtheta, dv)
 
 
 def add_drifts(measured: Increments, disturbed: SampleDisturbance) -> Increments:
     """Return measured increments with the drifts of the biases."""
-    return Increments(
-        add_optional(measured.dtheta, disturbed.gyro_drift),
-        add_optional(measured.dv, disturbed.accel_drift),
-    )
+    drifts = disturbed.gyro_drift, disturbed.accel_drift
+    return Increments(*map(_add_optional, measured, drifts))

@@ -25,7 +25,7 @@ from sinsjax.types import Increments, Quat, Scalar, Vec3
 
 
 class HousingMotion(NamedTuple):
-    """The motion of the housing against the base at one time; None for what is absent.
+    """The motion of the housing relative to the base at one time; None for what is absent.
 
     Attributes:
         angle: rotation vector a from the base to the housing, rad.
@@ -45,8 +45,7 @@ class HousingState(NamedTuple):
         turn: rotation from the housing to the base; None if it does not rotate.
         velocity: of the sensors over that of a rigid base at their place, in b, m/s; None if the
             housing rotates about the sensors and does not move.
-        base: increments that sensors on the rigid base would have given for the sample before;
-            None if the housing does not rotate.
+        base: increments of sensors on the rigid base over the sample before; None like ``turn``.
         sensed: increments that the sensors gave for it; likewise.
     """
 
@@ -86,42 +85,33 @@ def sense_in_housing(
 
     Args:
         state: before the sample.
-        sensed: ideal increments at the sensors on the rigid base, with the mean axes of n in b if
-            the housing rotates at the end of a lever arm.
+        sensed: at the sensors on the rigid base; with axes if a housing with a lever arm rotates.
         motion: of the housing at the end of the sample.
         lever: see `start_housing`.
         place: Earth rates and curvatures.
         dt: sample time, s.
     """
-    base = sensed.increments
+    base, before = sensed.increments, state.velocity
     if motion.angle is None:
-        assert motion.velocity is not None and state.velocity is not None
-        moved = _change_in_body(state.velocity, motion.velocity, base.dtheta)
+        assert before and motion.velocity
+        mean = scale(0.5, add(before, motion.velocity))
+        # Third-order terms are left out: 5e-5 m/s in 900 s at 1 g of vibration on a swaying base.
+        moved = add(add(motion.velocity, scale(-1.0, before)), cross(base.dtheta, mean))
         shaken = base._replace(dv=add(base.dv, moved))
         return state._replace(velocity=motion.velocity), shaken
-    assert state.turn is not None and state.base is not None and state.sensed is not None
+    assert state.turn and state.base and state.sensed
     turn = exp_of_sample(motion.angle)
     velocity = _added_velocity(motion, turn, lever, scale(1 / dt, base.dtheta))
     if lever is not None:
-        assert velocity is not None and state.velocity is not None and sensed.axes is not None
-        mean = scale(0.5, add(velocity, state.velocity))
-        base = _carry_over_earth(base, mean, sensed.axes, place, dt)
+        assert velocity and before and sensed.axes
+        base = _carry_over_earth(base, scale(0.5, add(velocity, before)), sensed.axes, place, dt)
     rotation, added = compensate_sample(base, state.base)
-    if velocity is not None and state.velocity is not None:
-        added = add(added, add(rotate(rotation, velocity), scale(-1.0, state.velocity)))
+    if velocity and before:
+        added = add(added, add(rotate(rotation, velocity), scale(-1.0, before)))
     back = conjugate(state.turn)
     rotation, added = multiply(back, multiply(rotation, turn)), rotate(back, added)
     increments = _uncompensated_increments(log_of_sample(rotation), added, state.sensed)
     return HousingState(turn, velocity, base, increments), increments
-
-
-def _change_in_body(before: Vec3, after: Vec3, theta: Vec3) -> Vec3:
-    """Return the velocity increment of a change of velocity in axes that turn by theta meanwhile.
-
-    Third-order terms are left out. At 1 g of vibration on a swaying base they add up to 5e-5 m/s in
-    900 s.
-    """
-    return add(add(after, scale(-1.0, before)), cross(theta, scale(0.5, add(before, after))))
 
 
 def _carry_over_earth(
@@ -140,16 +130,16 @@ def _carry_over_earth(
 
 
 def _added_velocity(
-    motion: HousingMotion, turn: Quat | None, lever: Vec3 | None, base_rate: Vec3
+    motion: HousingMotion, turn: Quat, lever: Vec3 | None, base_rate: Vec3
 ) -> Vec3 | None:
     """Return the velocity of the sensors over that of a rigid base, in b, m/s; None if zero.
 
     The sensors are at R(a) l from the centre of the sway. That vector changes by the cross product
     with the rate of the housing, a' + a x a'/2 + a x (a x a')/6, and the base carries it.
     """
-    if turn is None or lever is None:
+    if lever is None:
         return motion.velocity
-    assert motion.angle is not None and motion.rate is not None
+    assert motion.angle and motion.rate
     place = rotate(turn, lever)
     bend = cross(motion.angle, motion.rate)
     rate = add(motion.rate, add(scale(0.5, bend), scale(1 / 6, cross(motion.angle, bend))))
@@ -161,10 +151,8 @@ def _added_velocity(
 def _uncompensated_increments(angle: Vec3, velocity: Vec3, before: Increments) -> Increments:
     """Return the increments from which `sensors.compensate_sample` gives a rotation and a velocity.
 
-    Args:
-        angle: rotation vector over the sample, rad.
-        velocity: added over the sample, in the axes at its beginning, m/s.
-        before: increments of the sample before.
+    ``angle`` is the rotation vector over the sample, rad; ``velocity`` is added over it, in the
+    axes at its beginning, m/s; ``before`` are the increments of the sample before.
     """
     earlier = scale(1 / 12, before.dtheta)
     theta = _solve_with_cross(earlier, angle)

@@ -5,7 +5,8 @@ A process is linear and driven by one white number w of variance 1 a sample,
     x' = A x + b w,    y = c x + d w,
 
 three times over, an axis each. What the recursions need of time constants and sample time is worked
-out here once, with NumPy; they begin in their stationary distribution.
+out here once, with NumPy; they begin in their stationary distribution. A process is made from
+``rms``, (..., 3) of each axis, and the sample time ``dt``, s; its other numbers are (...,).
 """
 
 from typing import NamedTuple
@@ -19,16 +20,13 @@ from sinsjax.maths.algebra import add, scale
 from sinsjax.types import Array, Count, Scalar, Vec3
 
 Numbers = np.ndarray | np.floating | float
-"""What recursions are worked out of: leading axes, of draws, if any."""
+"""Inputs of recursions, with leading axes, of draws, if any."""
 
 State = tuple[Vec3, ...]
 """x of the three axes: a `Vec3` for each component."""
 
-TRIADS = 8
-"""Triads of numbers that a sample has for all processes."""
-
-MOST_STATES = 3
-"""Components of x that a process may have."""
+TRIADS, MOST_STATES = 8, 3
+"""Triads of numbers per sample for all processes, and the most components that x may have."""
 
 MOST_SAMPLES = 2**32 // TRIADS - 2 * MOST_STATES
 """Samples that have driving noise; the numbers after them are for the beginning."""
@@ -57,13 +55,7 @@ class Process(NamedTuple):
 
 
 def gauss_markov_process(rms: Numbers, time: Numbers, dt: float) -> Process:
-    """Return a first-order Gauss-Markov process at sample times.
-
-    Args:
-        rms: (..., 3) of each axis.
-        time: (...,) correlation time, s.
-        dt: sample time, s.
-    """
+    """Return a first-order Gauss-Markov process of a correlation time (s) at sample times."""
     kept = np.exp(-dt / np.asarray(time, float))
     one = np.ones_like(kept)
     return _first_order_process(kept, np.sqrt(1 - kept * kept), 0.0 * one, one, rms)
@@ -72,9 +64,8 @@ def gauss_markov_process(rms: Numbers, time: Numbers, dt: float) -> Process:
 def sampled_mean_of_gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Process:
     """Return the means over samples of a first-order Gauss-Markov process, as sensors integrate it.
 
-    The means of a continuous process are an ARMA(1, 1) sequence; its two coefficients follow from
-    the variance of a mean and its covariance with the next one. Arguments as of
-    `gauss_markov_process`.
+    The means of a continuous process, of a correlation time (s), are an ARMA(1, 1) sequence; its
+    two coefficients follow from the variance of a mean and its covariance with the next one.
     """
     r = dt / np.asarray(time, float)
     kept, lost = np.exp(-r), -np.expm1(-r)
@@ -92,22 +83,17 @@ def sampled_mean_of_gauss_markov(rms: Numbers, time: Numbers, dt: float) -> Proc
 def sampled_mean_of_random_walk(density: Numbers, dt: float) -> Process:
     """Return the means over samples of a random walk that starts at zero.
 
-    Args:
-        density: (..., 3) standard deviation after a second, of each axis.
-        dt: sample time, s.
+    ``density``, (..., 3), is its standard deviation after a second, of each axis.
     """
-    one = np.ones(np.shape(density)[:-1])
+    one, rms = np.ones(np.shape(density)[:-1]), np.asarray(density) * np.sqrt(dt)
     drive, direct = _moving_average_coefficients(2 / 3 * one, 1 / 6 * one)
-    return _first_order_process(
-        one, direct + drive, direct, 0.0 * one, np.asarray(density) * np.sqrt(dt)
-    )
+    return _first_order_process(one, direct + drive, direct, 0.0 * one, rms)
 
 
 def rounding_process(quantum: Numbers) -> Process:
     """Return the error of rounded increments if each carries on what the last has left.
 
-    Args:
-        quantum: (..., 3) of each axis.
+    ``quantum``, (..., 3), is that of each axis.
     """
     one = np.ones(np.shape(quantum)[:-1])
     process = _first_order_process(0.0 * one, one, one, one, np.asarray(quantum) / np.sqrt(12))
@@ -122,32 +108,19 @@ def bounded_velocity_process(
     White noise through the oscillator s'' + s'/T + s/T^2 and then a first-order lag gives the
     position: it, its velocity and its acceleration have finite variances, and those of the last two
     have the ratio 2 pi B/T + 1/T^2 of the lag's bandwidth B. The noise is held over a sample, and
-    scaled to the velocity asked for.
-
-    Args:
-        rms: (..., 3) of the velocity, of each axis, m/s.
-        time: (...,) T, s.
-        bandwidth_hz: (...,) B, Hz.
-        dt: sample time, s.
+    scaled to the velocity asked for: ``rms`` in m/s, ``time`` T in s.
     """
     rate, lag = 1 / np.asarray(time, float), 2 * np.pi * np.asarray(bandwidth_hz, float)
     zero, one = 0.0 * (rate + lag), 1.0 + 0.0 * (rate + lag)
-    rows = (  # in units of T: s, s' and the lagged position
-        (zero, rate, zero),
-        (-rate, -rate, zero),
-        (lag, zero, -lag),
-    )
+    # In units of T: s, s' and the lagged position.
+    rows = (zero, rate, zero), (-rate, -rate, zero), (lag, zero, -lag)
     return _discretise_with_held_noise(rows, (zero, one, zero), (lag, zero, -lag), rms, dt)
 
 
 def resonance_process(rms: Numbers, frequency_hz: Numbers, damping: Numbers, dt: float) -> Process:
     """Return the vibration of a lightly damped structure driven by white noise, at sample times.
 
-    Args:
-        rms: (..., 3) of each axis.
-        frequency_hz: (...,) undamped natural frequency, Hz.
-        damping: (...,) damping ratio.
-        dt: sample time, s.
+    The structure has an undamped natural frequency (Hz) and a damping ratio.
     """
     rate = 2 * np.pi * np.asarray(frequency_hz, float)
     zero, one = 0.0 * (rate + damping), 1.0 + 0.0 * (rate + damping)
@@ -167,14 +140,8 @@ def _first_order_process(
     kept: Numbers, drive: Numbers, direct: Numbers, begin: Numbers, rms: Numbers
 ) -> Process:
     matrix, column = (..., None, None), (..., None)
-    return Process(
-        transition=np.asarray(kept)[matrix],
-        drive=np.asarray(drive)[column],
-        output=np.ones_like(kept)[column],
-        direct=direct,
-        begin=np.asarray(begin)[matrix],
-        scale=np.asarray(rms, float),
-    )
+    a, b, c = np.asarray(kept)[matrix], np.asarray(drive)[column], np.ones_like(kept)[column]
+    return Process(a, b, c, direct, np.asarray(begin)[matrix], np.asarray(rms, float))
 
 
 def _discretise_with_held_noise(
@@ -202,12 +169,7 @@ def _discretise_with_held_noise(
 
 
 def initial_state(process: Process, normal: State) -> State:
-    """X before the first sample.
-
-    Args:
-        process: without leading axes.
-        normal: standard normal numbers, as many as x has components.
-    """
+    """X of a process without leading axes before the first sample, from standard normal numbers."""
     rows = range(len(process.drive))
     return tuple(_linear_combinations(process.begin[i, : i + 1], normal[: i + 1]) for i in rows)
 
@@ -218,11 +180,6 @@ def process_output(process: Process, state: State, normal: Vec3 | None = None) -
     if normal is not None:
         y = add(y, scale(process.direct, normal))
     return Vec3(*(factor * part for factor, part in zip(process.scale, y, strict=True)))
-
-
-def process_derivative(process: Process, state: State) -> Vec3:
-    """Return the time derivative of y of the three axes in a state."""
-    return process_output(process._replace(output=process.derivative), state)
 
 
 def advance_process(process: Process, state: State, normal: Vec3) -> State:
@@ -251,10 +208,7 @@ def driving_noise(
         seed: the study's seed, below 2^63.
         draw_id: () or (draws,), below 2^32.
         samples: (n,) their numbers, below `MOST_SAMPLES`; any that is negative stands for zero.
-        triads: which are wanted, below `TRIADS`.
-
-    Returns:
-        By triad, leaves (n, *draws).
+        triads: which are wanted, below `TRIADS`; the numbers of each have leaves (n, *draws).
     """
     if not triads:
         return {}
@@ -270,7 +224,7 @@ def initial_normal_numbers(
 ) -> dict[int, State]:
     """Return standard normal numbers for the states of a draw's processes before its first sample.
 
-    Arguments as of `driving_noise`.
+    By triad, see `driving_noise`.
     """
     if not triads:
         return {}

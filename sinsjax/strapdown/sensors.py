@@ -7,7 +7,6 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rng
 from sinsjax.maths.algebra import add, cross, dot, scale
-from sinsjax.maths.rng import normal_pair
 from sinsjax.maths.rotations import conjugate, exp_of_sample, rotate
 from sinsjax.types import Array, Count, Increments, Sample, Scalar, Vec3
 
@@ -51,14 +50,11 @@ def draw_normal_numbers(seed: Count, draw_id: Array, numbers: Array) -> Incremen
     Args:
         seed: the study's seed, below 2^63.
         draw_id: () or (draws,), below 2^32.
-        numbers: (n,) sample numbers in the run, below 2^32 / 3.
-
-    Returns:
-        `Increments` with leaves (n, *draws).
+        numbers: (n,) sample numbers in the run, below 2^32 / 3; leaves are (n, *draws).
     """
     # A sample uses three consecutive counters, each giving a pair of numbers.
     counters = 3 * jnp.asarray(numbers)[None] + jnp.arange(3)[:, None]
-    (gx, gz, ay), (gy, ax, az) = rng.random_numbers(normal_pair, seed, draw_id, counters)
+    (gx, gz, ay), (gy, ax, az) = rng.random_numbers(rng.normal_pair, seed, draw_id, counters)
     return Increments(Vec3(gx, gy, gz), Vec3(ax, ay, az))
 
 
@@ -70,30 +66,23 @@ def measure_increments(
     *,
     distorted: bool = True,
 ) -> Increments:
-    """Return measured increments from ideal ones and standard normal numbers.
+    """Return measured increments from ideal ones, rad and m/s in b, over a sample time (s).
 
-    Args:
-        ideal: rad and m/s in b.
-        errors: of the sensors.
-        normal: standard normal numbers; None adds no noise.
-        dt: sample time, s.
-        distorted: whether scale factors and axes are off at all; without, they cost nothing.
+    Standard normal numbers give the noise; None adds none. Unless ``distorted``, no scale factor or
+    axis is off, and they cost nothing.
     """
-    gyro_matrix, accel_matrix = errors.gyro_matrix, errors.accel_matrix
-    gyro = _distort(ideal.dtheta, gyro_matrix if distorted else None, errors.gyro_bias * dt)
-    accel = _distort(ideal.dv, accel_matrix if distorted else None, errors.accel_bias * dt)
+    gyro, accel = ideal
+    if distorted:
+        gyro = add(gyro, Vec3(*(dot(Vec3(*row), gyro) for row in errors.gyro_matrix)))
+        accel = add(accel, Vec3(*(dot(Vec3(*row), accel) for row in errors.accel_matrix)))
+    gyro = add(gyro, Vec3(*(errors.gyro_bias * dt)))
+    accel = add(accel, Vec3(*(errors.accel_bias * dt)))
     if normal is None:
         return Increments(gyro, accel)
     return Increments(
         _add_noise(gyro, errors.gyro_noise, normal.dtheta),
         _add_noise(accel, errors.accel_noise, normal.dv),
     )
-
-
-def _distort(ideal: Vec3, matrix: Array | None, bias: Array) -> Vec3:
-    if matrix is None:
-        return add(ideal, Vec3(*bias))
-    return add(add(ideal, Vec3(*(dot(Vec3(*row), ideal) for row in matrix))), Vec3(*bias))
 
 
 def _add_noise(exact: Vec3, sigma: Array, normal: Vec3) -> Vec3:
@@ -105,10 +94,7 @@ def quantise(
 ) -> tuple[Increments, Increments]:
     """Return increments in whole quanta, and the remainder of the integrals for the next sample.
 
-    Args:
-        increments: measured, rad and m/s.
-        errors: of the sensors, with quanta.
-        left: by the samples before.
+    Measured ones (rad and m/s) are added to the remainder ``left`` by the samples before.
     """
     assert errors.gyro_quantum is not None and errors.accel_quantum is not None
     total = jax.tree.map(jnp.add, increments, left)
@@ -134,10 +120,6 @@ def compensate_sample(now: Increments, before: Increments) -> Sample:
     the sample dv + dtheta x dv/2 + dtheta x (dtheta x dv)/6 + (dtheta_prev x dv + dv_prev x
     dtheta)/12. The double product is the next order of the rotation term: without it the velocity
     on a swaying base drifts by 1e-4 m/s in 900 s.
-
-    Args:
-        now: measured increments.
-        before: those of the previous sample.
     """
     theta, dv = now
     coning = scale(1 / 12, cross(before.dtheta, theta))
@@ -158,16 +140,7 @@ def reverse_sample(sample: Sample) -> Sample:
 
 
 def compensate_record(rows: Array, previous: Array) -> Sample:
-    """Return the compensated samples of a record.
-
-    Args:
-        rows: (n, 6) measured increments.
-        previous: (6,) increments of the sample before the first row.
-
-    Returns:
-        `Sample` with leaves of shape (n,).
-    """
+    """Return the compensated samples of a record (n, 6), leaves (n,), and a row (6,) before it."""
     before = jnp.concatenate([previous[None], rows[:-1]])
-    return jax.vmap(lambda a, b: compensate_sample(split_record_row(a), split_record_row(b)))(
-        rows, before
-    )
+    split = jax.vmap(split_record_row)
+    return jax.vmap(compensate_sample)(split(rows), split(before))

@@ -4,6 +4,7 @@ The ramps have continuous angular acceleration. Turns begin and end at samples, 
 `base_motion` are integrated without a knot inside.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -28,6 +29,10 @@ class AngleRates(NamedTuple):
     rate: Scalar
     acceleration: Scalar
 
+    def plus(self, other: "AngleRates | None") -> "AngleRates":
+        """Return the sum of two angles; None adds nothing."""
+        return self if other is None else AngleRates(*map(jnp.add, self, other))
+
 
 class Turns(NamedTuple):
     """Turns about one axis, which do not overlap; leaves (n,).
@@ -51,11 +56,21 @@ class Turns(NamedTuple):
         turn = self._active(self.begin, t)
         return _angle_rates(turn, t - turn.begin, t - turn.begin - turn.length)
 
-    def of_sample(self, rate_hz: Scalar, k: Scalar) -> "SampleTurn":
-        """Return the turn during sample k, which spans k/rate to (k+1)/rate."""
+    def in_sample(self, rate_hz: Scalar, k: Scalar) -> Callable[[Scalar], AngleRates]:
+        """Return the angle during sample k by node, in half samples from mid-sample.
+
+        Whole numbers of samples keep times within the turn exact, however late it is.
+        """
         turn = self._active(jnp.round(self.begin * rate_hz), k)
         since_begin = k - jnp.round(turn.begin * rate_hz)
-        return SampleTurn(turn, since_begin, since_begin - jnp.round(turn.length * rate_hz))
+        since_ramp_down = since_begin - jnp.round(turn.length * rate_hz)
+
+        def at(node: Scalar) -> AngleRates:
+            middle = 0.5 + 0.5 * node
+            up, down = since_begin + middle, since_ramp_down + middle
+            return _angle_rates(turn, up / rate_hz, down / rate_hz)
+
+        return at
 
     def _active(self, begins: Array, time: Scalar) -> "Turns":
         """Return the last turn that has begun, leaves (); before the first one, the first."""
@@ -65,28 +80,6 @@ class Turns(NamedTuple):
             begun = jnp.searchsorted(jnp.asarray(begins), time, side="right")
         place = jnp.maximum(begun - 1, 0)
         return jax.tree.map(lambda a: jnp.asarray(a)[place], self)
-
-
-class SampleTurn(NamedTuple):
-    """The turn during one sample.
-
-    Whole numbers of samples keep times within the turn exact, however late it is.
-
-    Attributes:
-        turn: leaves ().
-        since_begin: samples from the beginning of the ramp up to that of the sample.
-        since_ramp_down: samples from the beginning of the ramp down.
-    """
-
-    turn: Turns
-    since_begin: Scalar
-    since_ramp_down: Scalar
-
-    def at(self, node: Scalar, rate_hz: Scalar) -> AngleRates:
-        """Return the angle and its derivatives at a node, in half samples from mid-sample."""
-        middle = 0.5 + 0.5 * node
-        up, down = self.since_begin + middle, self.since_ramp_down + middle
-        return _angle_rates(self.turn, up / rate_hz, down / rate_hz)
 
 
 def _angle_rates(turn: Turns, since_begin: Scalar, since_ramp_down: Scalar) -> AngleRates:

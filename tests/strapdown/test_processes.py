@@ -6,14 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from sinsjax.maths import rng
 from sinsjax.strapdown import processes
 
 pytestmark = pytest.mark.optimised(False)
 
 RMS = np.array([1.0, 2.0, 0.5])
-times = st.floats(0.02, 1e5).map(np.asarray)
-rates = st.floats(1, 1000)
 
 
 def covariances(process, lags=1):
@@ -34,7 +31,7 @@ def assert_stationary(process):
     np.testing.assert_allclose(after, covariance, rtol=1e-6, atol=1e-9 * covariance.max())
 
 
-@given(times, rates)
+@given(st.floats(0.02, 1e5), st.floats(1, 1000))
 def test_gauss_markov_keeps_its_variance_and_correlation(time, rate):
     process = processes.gauss_markov_process(RMS, time, 1 / rate)
     assert_stationary(process)
@@ -56,9 +53,7 @@ def test_mean_gauss_markov_covariance_matches_integrals(ratio):
     expected = [integral(lag) for lag in range(3)]
     np.testing.assert_allclose(covariances(process, 2), expected, rtol=1e-9)
     # What is driven is what is left of the variance: it tells small ratios apart.
-    steps = 2 * (expected[0] - expected[1])
-    found = 2 * (covariances(process)[0] - covariances(process)[1])
-    assert found == pytest.approx(steps, rel=1e-5)
+    assert -np.diff(covariances(process)) == pytest.approx(expected[0] - expected[1], rel=1e-5)
 
 
 def test_mean_random_walk_variance_grows_as_its_integral():
@@ -75,12 +70,10 @@ def test_mean_random_walk_variance_grows_as_its_integral():
 def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
     """The third-order process of 0.1 m/s, 5 s, 1 Hz: 0.114 m/s^2, of which a sample has the mean.
 
-    Of y''' + a2 y'' + a1 y' + a0 y = white: var y'' / var y' = a1, var y / var y' = a2 / a0.
+    Of y''' + a2 y'' + a1 y' + a0 y = white, var y'' / var y' is a1.
     """
     time, bandwidth, rms = 5.0, 1.0, 0.1
-    process = processes.bounded_velocity_process(
-        np.full(3, rms), np.asarray(time), np.asarray(bandwidth), 1 / rate
-    )
+    process = processes.bounded_velocity_process(np.full(3, rms), time, bandwidth, 1 / rate)
     assert_stationary(process)
     velocity, nearby = covariances(process)
     assert velocity == pytest.approx(rms**2)
@@ -89,15 +82,12 @@ def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
     assert whole == pytest.approx(0.114, abs=5e-4)
     lag = 2 * np.pi * bandwidth / rate
     assert acceleration == pytest.approx(whole * np.sqrt(1 - lag / 3), rel=6e-3)
-    # The position is that of the lag, in the unit of the velocity: y' = w (s - y).
-    covariance = process.begin @ process.begin.T
-    unit = rms * process.output[0] / (2 * np.pi * bandwidth)
-    position = unit * np.sqrt(covariance[2, 2])
-    a2, a0 = 2 * np.pi * bandwidth + 1 / time, 2 * np.pi * bandwidth / time**2
-    assert position == pytest.approx(rms * np.sqrt(a2 / a0), rel=5e-3)
+    # The position stays within bounds: what the velocity integrates to has no variance at zero.
+    later = covariances(process, round(200 * rate))
+    assert abs(later[0] + 2 * later[1:].sum()) < 1e-3 * later[0] * rate
 
 
-@given(st.floats(0.01, 0.9).map(np.asarray), st.floats(0.1, 40).map(np.asarray))
+@given(st.floats(0.01, 0.9), st.floats(0.1, 40))
 def test_resonance_has_given_variance_and_frequency(damping, frequency):
     process = processes.resonance_process(RMS, frequency, damping, 1 / 400)
     assert_stationary(process)
@@ -109,14 +99,6 @@ def test_resonance_has_given_variance_and_frequency(damping, frequency):
     )
     # Held over a sample, the noise is a little less white.
     np.testing.assert_allclose(found, expected, atol=0.1 * (omega / 400) ** 2)
-
-
-@pytest.mark.optimised(True)
-def test_batched_process_parameters_match_single_draw():
-    many = processes.sampled_mean_of_gauss_markov(np.ones((5, 3)), np.array([1.0, 2, 3, 4, 5]), 0.1)
-    one = processes.sampled_mean_of_gauss_markov(np.ones(3), np.asarray(3.0), 0.1)
-    for a, b in zip(jax.tree.map(lambda a: a[2], many), one, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 DRIVING = jax.jit(processes.driving_noise, static_argnums=3)
@@ -140,8 +122,7 @@ def test_driving_noise_depends_only_on_seed_draw_sample_and_triad():
 
 def test_driving_noise_is_white_with_unit_variance():
     count = 400_000
-    rows = drawn(3, 1, np.arange(count), (0, 3))
-    rows = np.concatenate([rows[0], rows[3]])
+    rows = np.concatenate([*drawn(3, 1, np.arange(count), (0, 3)).values()])
     error = 1 / np.sqrt(count)
     products = rows @ rows.T / count
     assert np.abs(rows.mean(axis=1)).max() < 4 * error
@@ -151,20 +132,17 @@ def test_driving_noise_is_white_with_unit_variance():
     assert (rows**4).mean(axis=1) == pytest.approx(3 - 2 / 16, abs=0.03)
 
 
-def test_binomial_triad_sums_sixteen_bits_per_number():
-    words = np.array([0xF000_0003, 0x00FF_1234], np.uint32)
-    made = rng.binomial_triad((jnp.asarray(words[0]), jnp.asarray(words[1])))
-    assert [float(a) for a in made] == [0.5 * (bits - 8) for bits in (2, 4, 8)]
-
-
 @pytest.mark.nightly(fast=("1",))
-@pytest.mark.parametrize("order", [1, 3])
-def test_process_is_stationary_from_first_sample(order):
+@pytest.mark.parametrize(
+    "process",
+    [
+        processes.gauss_markov_process(RMS, 2.0, 0.1),
+        processes.bounded_velocity_process(RMS, 2.0, 1.0, 0.1),
+    ],
+    ids=["1", "3"],
+)
+def test_process_is_stationary_from_first_sample(process):
     """By 4000 draws: the variance of the first sample is that of the last."""
-    if order == 1:
-        process = processes.gauss_markov_process(RMS, np.asarray(2.0), 0.1)
-    else:
-        process = processes.bounded_velocity_process(RMS, np.asarray(2.0), np.asarray(1.0), 0.1)
 
     @jax.jit
     @jax.vmap
@@ -173,16 +151,13 @@ def test_process_is_stationary_from_first_sample(order):
         driven = processes.driving_noise(np.asarray(1), draw, jnp.arange(40), (0,))[0]
 
         def step(state, w):
-            return processes.advance_process(process, state, w), processes.process_output(
-                process, state
-            )
+            now = processes.process_output(process, state)
+            return processes.advance_process(process, state, w), now
 
         return jnp.stack(jax.lax.scan(step, processes.initial_state(process, start), driven)[1])
 
     y = np.asarray(run(np.arange(4000)))
-    rms = np.sqrt((y**2).mean(axis=0))
-    np.testing.assert_allclose(
-        rms, np.broadcast_to(RMS[:, None], rms.shape), rtol=4 / np.sqrt(8000)
-    )
+    rms = np.sqrt((y**2).mean(axis=0)) / RMS[:, None]
+    np.testing.assert_allclose(rms, 1, rtol=4 / np.sqrt(8000))
     correlation = (y[:, :, 5:] * y[:, :, :-5]).mean(axis=(0, 2)) / RMS**2
     np.testing.assert_allclose(correlation, covariances(process, 5)[5] / RMS[0] ** 2, atol=0.03)
