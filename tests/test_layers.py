@@ -153,3 +153,9 @@ def test_no_other_modules_are_imported_by_name():
 def test_package_has_py_typed_marker():
     """Type checkers look for the marker of PEP 561 beside the modules."""
     assert (Path(sinsjax.__file__).parent / "py.typed").is_file()
+
+
+def test_one_module_of_the_engine_knows_studies():
+    engine = (name for name in MODULES if folder(name) == "engine")
+    knowing = {name for name in engine if any(folder(other) == "study" for other in GRAPH[name])}
+    assert knowing == {"engine.scenario"}
