@@ -148,18 +148,11 @@ def _as_double(leaf: Any) -> Any:
 
 
 _COUNTS: dict[type, tuple[str, str]] = {
-    Resets: (
-        "samples",
-        "hard reset times is zero, whatever a change of them would do"
-        " (one_run(study, window_s=...) spreads each reset over a smooth window)",
-    ),
-    FeedbackSchedule: ("every", "feedback intervals is zero, whatever a change of them would do"),
-    PiecewiseConstant: (
-        "samples",
-        "times at which gains change is zero, whatever a change of them would do",
-    ),
+    Resets: ("samples", "hard reset times"),
+    FeedbackSchedule: ("every", "feedback intervals"),
+    PiecewiseConstant: ("samples", "times at which gains change"),
 }
-"""Fields of schedules that count samples, and the warning about the gradient by them."""
+"""Fields of schedules that count samples, and what they are in words."""
 
 
 def _warn_of_zero_gradients(method: Any) -> Any:
@@ -168,24 +161,25 @@ def _warn_of_zero_gradients(method: Any) -> Any:
     def wrap(part: Any) -> Any:
         if type(part) not in _COUNTS:
             return part
-        field, text = _COUNTS[type(part)]
-        return part._replace(**{field: _constant_count(text, getattr(part, field))})
+        field, what = _COUNTS[type(part)]
+        return part._replace(**{field: _constant_count(what, getattr(part, field))})
 
     return jax.tree.map(wrap, method, is_leaf=lambda part: type(part) in _COUNTS)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _constant_count(text: str, counts: Array) -> Array:
+def _constant_count(what: str, counts: Array) -> Array:
     """Return counts of samples unchanged; warn if they are differentiated by."""
     return jnp.asarray(counts)
 
 
-def _warn_if_differentiated(
-    text: str, primals: tuple[Array], tangents: tuple[Any]
-) -> tuple[Array, Array]:
+def _warn_if_differentiated(what: str, primals: Any, tangents: Any) -> tuple[Array, Array]:
     (counts,), (slope,) = primals, tangents
     if counts.size and not isinstance(slope, jax.custom_derivatives.SymbolicZero):
-        warnings.warn(f"sinsjax.one_run: the gradient by {text}", stacklevel=2)
+        text = f"the gradient by {what} is zero, whatever a change of them would do"
+        if what == _COUNTS[Resets][1]:
+            text += " (one_run(study, window_s=...) spreads each reset over a smooth window)"
+        warnings.warn(f"sinsjax.one_run: {text}", stacklevel=2)
     return jnp.asarray(counts), jnp.zeros_like(counts)
 
 
