@@ -24,8 +24,8 @@ from sinsjax.strapdown.sensors import SensorErrors, error_free_sensors
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
 PLACE = earth.place(earth.wgs84(), 45 * DEG)
-EARTH_RATE = np.array([0.0, PLACE.rate_n, PLACE.rate_u])
 AXES, UG, NORTH = np.ones(3), micro_g(), np.eye(3)
+WEST = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 # A base at rest, with samples of DT
 
@@ -101,7 +101,7 @@ def least_squares_sigma(n, **disturbances):
 @pytest.mark.parametrize("name", [None, *OF_SURGE])
 def test_information_bound_matches_generalised_least_squares(name):
     surge = {"surge": OF_SURGE[name]} if name else {}
-    found = heading_bound([40 * DT, 200 * DT], still_problem(**surge))
+    found = heading_bound([40 * DT, 200 * DT], still_problem(to_n=WEST, **surge))
     expected = [least_squares_sigma(n, **surge) for n in (40, 200)]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
@@ -144,13 +144,13 @@ def test_bounded_vibration_barely_raises_bound_and_walk_does():
     assert alone < still_bound(120.0, shaking=shaking) < 1.01 * alone
     assert still_bound(120.0, rocking=rocking) == alone  # the gyros measure it
     assert still_bound(300.0, gyro_walk=walk) > 1.5 * still_bound(300.0)
+    assert still_bound(120.0, accel_walk=walk) == pytest.approx(alone, rel=1e-3)
 
 
 def test_sensor_noise_axes_rotate_with_body():
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # heading 90 deg
     x, y = np.array([3.0, 1.0, 1.0]), np.array([1.0, 3.0, 1.0])
     ahead = still_bound(60.0, accel=ACCEL * y, gyro=GYROS * y)
-    aside = still_bound(60.0, accel=ACCEL * x, gyro=GYROS * x, to_n=turned)
+    aside = still_bound(60.0, accel=ACCEL * x, gyro=GYROS * x, to_n=WEST)
     assert aside == pytest.approx(ahead, rel=1e-12)
 
 
@@ -182,6 +182,10 @@ MEMS, FOG, LASER = (1, 0.02, 500, 50), (0.1, 0.005, 200, 30), (0.01, 0.001, 50, 
 """Gyro bias (deg/h), random walk (deg/sqrt(h)), accelerometer bias (ug) and noise (ug/sqrt(Hz))."""
 
 
+def earth_rate(place):
+    return np.array([0.0, place.rate_n, place.rate_u])
+
+
 def turned_angle(turns, rate, t):
     """Angle (deg) of turns (begin in s, angle in deg) at a rate (deg/s), with ramps."""
     angle = 0 * t
@@ -193,7 +197,7 @@ def turned_angle(turns, rate, t):
     return angle
 
 
-def motion(turns=(), rate=10.0, sway=(), heading_deg=0.0):
+def motion(turns=(), rate=10.0, sway=(), heading_deg=0.0, place=PLACE):
     """A base that turns and sways: amplitude (deg), period (s) and phase (rad) of pitch, roll."""
 
     def attitude(t):
@@ -206,7 +210,7 @@ def motion(turns=(), rate=10.0, sway=(), heading_deg=0.0):
     def at(t, half=1e-3):
         c, before, after = (attitude(t + shift) for shift in (0.0, -half, half))
         turn = (before.inv() * after).as_rotvec() / (2 * half)
-        return BaseMotion(c.as_matrix(), turn + c.inv().apply(EARTH_RATE))
+        return BaseMotion(c.as_matrix(), turn + c.inv().apply(earth_rate(place)))
 
     return at
 
@@ -273,7 +277,7 @@ def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
     """
     count, every, errors = round(end / fine), round(step / fine), problem.errors
     c, w = problem.motion((np.arange(count) + 0.5) * fine)
-    f, turn = PLACE.gravity * c[:, 2], -np.cross(EARTH_RATE, np.eye(3)).T
+    f, turn = PLACE.gravity * c[:, 2], -np.cross(earth_rate(problem.place), np.eye(3)).T
     kept, eye, root = np.exp(-fine / drift[1]), np.eye(3), np.sqrt(problem.dt * fine)
     gyro, accel = np.diag(errors.gyro_noise) / root, np.diag(errors.accel_noise) / root
     # Columns of x: phi(0), then normal numbers of variance 1: for the constant errors, for the
@@ -311,15 +315,17 @@ def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
 @pytest.mark.parametrize("drift", [None, (0.5 * DEG_PER_H, 8.0)])
 @pytest.mark.parametrize("sway", [(), ((2.0, 3.0, 0.3), (3.0, 4.0, 1.0))], ids=["level", "sways"])
 def test_bound_matches_dense_least_squares(sway, drift):
-    """With axes that differ, and turns of 10 deg a step."""
+    """With axes that differ, turns of 10 deg a step, and an Earth that turns 5 deg."""
     grade = sensors((3.0, 0.02, 500.0, 50.0), 300.0, 1.0)
     errors = grade._replace(
         gyro_noise=grade.gyro_noise * [1.0, 2.0, 0.5],
         accel_noise=grade.accel_noise * [1.0, 0.7, 2.0],
-        accel_matrix=np.full((3, 3), 2e-4),
+        accel_matrix=np.full((3, 3), 2e-2),
     )
     rms, time_s = drift or (0.0, 1.0)
-    problem = HeadingProblem(motion([(3.0, 170.0)], 20.0, sway), PLACE, 0.01, errors)
+    fast = PLACE._replace(rate_n=60 * PLACE.rate_n, rate_u=60 * PLACE.rate_u)
+    moving = motion([(3.0, 170.0)], 20.0, sway, place=fast)
+    problem = HeadingProblem(moving, fast, 0.01, errors)
     drifting = replace(
         problem, increment_errors=lambda step: dict(enumerate(drifts(rms, [time_s], step)))
     )
