@@ -279,7 +279,8 @@ def _heading_variances(
         for f, g, noise in itertools.islice(steps, count // per_step - done):
             p = f @ p @ f.T + noise
             response = f @ response
-            response[:, :5, 3:] += g
+            if g.size:
+                response[:, :5, 3:] += g
             root = _inverse_root(p[:, _LEVEL, _LEVEL])
             gain = p[:, 2:, _LEVEL] @ root.transpose(0, 2, 1)
             rows.append(root @ response[:, _LEVEL])
@@ -329,7 +330,7 @@ def _inverse_root(s: np.ndarray) -> np.ndarray:
     first = np.sqrt(s[:, 0, 0])
     below = s[:, 1, 0] / first
     second = np.sqrt(s[:, 1, 1] - below * below)
-    out = np.zeros_like(s)
+    out = np.zeros(s.shape)
     out[:, 0, 0], out[:, 1, 0], out[:, 1, 1] = 1 / first, -below / (first * second), 1 / second
     return out
 
