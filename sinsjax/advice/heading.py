@@ -9,8 +9,8 @@ from scipy import special
 
 from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
-from sinsjax.bounds.turning_information import heading_budget
-from sinsjax.execution.information import error_sources
+from sinsjax.bounds.information import heading_budget
+from sinsjax.execution.information import budget_problem
 
 SOURCES = {
     "gyro_bias": "gyro turn-on bias",
@@ -30,7 +30,7 @@ SOURCES = {
     "accel_scale": "accelerometer scale factor",
     "accel_misalignment": "accelerometer axis misalignment",
 }
-"""Sources of errors by their names in `error_sources`."""
+"""Sources of errors by their names in `heading_budget`."""
 
 KEYS = {
     "gyro_bias": ("gyro_bias_deg_per_h",),
@@ -104,11 +104,10 @@ def sheet_budget(sheet: Sheet, times_s: Sequence[float]) -> Budget:
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
     settings = {"rate_hz": rate, "duration_s": max(times_s), "draws": 1, "report_times_s": []}
     study = sheet.study(sections | {"sensors": sensors}, **settings)
-    problem, names = error_sources(study)
-    variance = heading_budget(times_s, problem)
-    present = (variance > _LEAST_SHARE * variance.sum(axis=1, keepdims=True)).any(axis=0)
-    sources = tuple(name for name, there in zip(names, present, strict=True) if there)
-    return Budget(np.asarray(times_s), sources, variance[:, present])
+    budget = heading_budget(times_s, budget_problem(study))
+    total = sum(budget.values())
+    present = {name: part for name, part in budget.items() if np.any(part > _LEAST_SHARE * total)}
+    return Budget(np.asarray(times_s), tuple(present), np.stack([*present.values()], axis=1))
 
 
 def wrapped_rms(sigma: float) -> float:

@@ -1,4 +1,4 @@
-"""The least heading error that the data allow any method: information bounds.
+"""The least heading error that the data allow any method: an information bound.
 
 On a base at rest, a heading error phi_U tilts a free platform at the constant rate
 -omega_N phi_U - eps_E, and the north specific force is g phi_E + nabla_N + noise. So the heading,
@@ -9,164 +9,471 @@ q_a leave the slope of the tilt the variance of a straight line's, 12 q_a/(g^2 T
 density q_g turn the ramp into a random walk with a drift, whose variance is q_g/T. The least
 variance of an unbiased linear estimator is superadditive in the noise covariance, since
 min w'(A + B)w >= min w'A w + min w'B w over all weights w. The sum is therefore a bound, and close
-if one of the two noises dominates. Repeated passes add nothing. A swing about a constant attitude
-is known from the gyros and rotates the biases by too little to matter.
+if one of the two noises dominates. Repeated passes add nothing.
 
-`heading_bound` allows coloured noise. The heading of a base that does not travel shows only in its
-level computed velocity u, the integral of the specific force that the gyros transform to n. To
-first order in the misalignment phi
+A turn of the base changes the sign of a bias in n but not that of the Earth rate, so that the data
+separate the two. The sensors have constant errors in the body frame b, biases b_g and b_a and
+matrices M_g and M_a of scale factors and cross-axis errors. The heading of a base that does not
+travel shows only in its level computed velocity u, the integral of the specific force that the
+gyros transform to n. To first order in the misalignment phi,
 
-    u'   = f x phi - 2 w_ie x u + v' + noise of the accelerometers,
-    phi' = phi x w_ie + noise of the gyros,          f = (0, 0, g), u(0) = 0,
+    phi' = phi x w_ie - C (b_g + M_g w + drifts + noise),
+    u'   = f x phi + C (b_a + M_a C' f + drifts + noise) + v',       f = (0, 0, g), u(0) = 0,
 
-with the velocity v of the surging base: a process x' = A x + b w whose changes all enter u.
-Linear vibration and drifts of the sensors enter likewise. Angular vibration is left out: the gyros
-measure it, and what it adds to the velocity at the end of a lever arm averages out. Only phi(0) is
-unknown, so u is d phi(0) + e with known rows d and a Gaussian e of known covariance C, and no
-unbiased estimator has a smaller covariance than (d' C^-1 d)^-1 (Gauss and Markov; Cramer and Rao).
-C would be a full matrix of the samples. A Kalman filter that knows phi(0) = 0 whitens e instead:
-its innovations r have known covariances S, and C^-1 = L' S^-1 L with the filter itself as L. It
-whitens the columns of d as it does u, so
+with the attitude C = C_b^n and the angular rate w = w_ib^b of the true motion, and the velocity v
+of a surging base: a process x' = A x + b w whose changes all enter u. Linear vibration and drifts
+of the sensors enter likewise. Angular vibration is left out: the gyros measure it, and what it adds
+to the velocity at the end of a lever arm averages out. The computed velocity u is known, and with
+it the Coriolis terms.
 
-    d' C^-1 d = sum over the samples of r_d' S^-1 r_d,
+The unknowns theta are phi(0), without a prior, and the constant errors, normal with mean zero and
+known sigmas. So u is d theta + e with known rows d and a Gaussian e of known covariance C_e, and no
+unbiased estimator has a smaller covariance than (d' C_e^-1 d)^-1 (Gauss and Markov; Cramer and
+Rao). C_e would be a full matrix of the samples. A Kalman filter that knows theta = 0 whitens e
+instead: its innovations r have known covariances S, and C_e^-1 = L' S^-1 L with the filter itself
+as L. It whitens the columns of d as it does u, and the information on theta is
 
-with r_d the innovations of the filter that is given d. A sway about a constant attitude is known
-from the gyros and does not matter, nor does a lever arm from its centre. Constant biases leave a
-floor, see `methods.floors`, from which both bounds are measured.
+    J = diag(0, 1/sigma^2) + sum over the steps of r_d' S^-1 r_d,
+
+with r_d the innovations of the filter that is given d. The misalignment at the time t of interest
+is phi(t) = R theta + e_t, where R is the response of what the filter leaves unexplained and e_t has
+the covariance P of the filter, so
+
+    sigma^2(t) = P_UU + R_U J^-1 R_U'.
+
+This is the Cramer-Rao bound of unbiased estimators of the heading at t, biases and all (with priors
+on the constant errors the van Trees bound, which a linear estimator attains). It is measured from
+the true heading, and is that of the body at the end of the data.
+
+The steps are longer than a sample of the sensors. Over a step the integrals of C, C w and C' f are
+those of the motion, so turns of many degrees per step are right; Earth rate is integrated to second
+order; the noise of the gyros adds to u within the step.
+
+A base at rest whose sensors have fixed errors is a case of it (`HeadingProblem.still`): its
+constant errors leave a floor, see `methods.floors`, from which the bound is measured, and it is
+that of the heading at the beginning of the data, R_U = (0, 0, 1) and P_UU = 0. There the steps are
+the samples of the methods' own models, of first order. A swing about a constant attitude is known
+from the gyros, and rotates the biases by too little to matter, nor does a lever arm from its
+centre.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, TypeAlias
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
+import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.bounds.coloured_noise import (
-    ANGLE,
-    IN_N,
-    VELOCITY,
-    increment_error_processes,
-)
-from sinsjax.maths.algebra import entries_as_numbers
+from sinsjax.errors import InputError
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import PHI_E, PHI_U, VE, five_state_transition
+from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
-from sinsjax.types import Navigation, Quat, Vec3
 
-Number: TypeAlias = Any
-"""A float, or a NumPy array that broadcasts."""
+GYRO, ACCEL = 0, 1
 
-_LEVEL = slice(VE, PHI_E)
-_PHI = slice(PHI_E, PHI_U + 1)
+NOISE_SOURCES = ("gyro_noise", "accel_noise")
+CONSTANT_SOURCES = (
+    *("gyro_bias", "accel_bias"),
+    *("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment"),
+)
+"""Sources of errors beside the `IncrementErrors`, in the order of `heading_budget`."""
+
+LONGEST_STEP_S = 0.5
+"""Shorter steps lower a bound by 0.02 % at most, and by 0.3 % at 60 deg/s if the cross-axis errors
+decide."""
+
+MOTION_NODES = 8
+"""Points per step at which the motion is read, by the midpoint rule."""
+
+_CHUNK = 500  # steps whose matrices are in memory
+_LEVEL, _PHI = slice(0, 2), slice(2, 5)
+_HEADING = 2  # among phi, and among theta
+_IN_N = np.diag([1.0, 1.0, 0.0, 0.0, 0.0])[:, :3]  # effect of a velocity along n on u and phi
 
 
-class SampleModel(NamedTuple):
-    """x <- F x + noise over a sample, for u, phi and the states of the processes.
+class IncrementError(NamedTuple):
+    """A coloured error of the increments of a step: a drift, a surging base, vibration.
 
     Attributes:
-        transition: (n, n) F.
-        noise: (n, n) covariance of the noise.
-        initial: (n, n) covariance of x before the first sample, given phi.
+        process: x' = A x + b w, y = c x + d w, whose y is the error on three axes, rad or m/s.
+        sensor: `GYRO` or `ACCEL`.
+        in_n: whether the axes are those of n and not those of b.
     """
 
-    transition: np.ndarray
-    noise: np.ndarray
-    initial: np.ndarray
+    process: Process
+    sensor: int
+    in_n: bool = False
 
 
-def heading_bound(
-    times_s: Sequence[float],
-    *,
-    place: Place,
-    errors: SensorErrors,
-    disturbances: Disturbances,
-    dt: float,
-    to_n: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the least 1 sigma of phi_u of any unbiased estimator, from the bias floor, rad.
+IncrementErrors: TypeAlias = Mapping[str, IncrementError]
+"""By name of the source."""
+
+_COLOURED: dict[str, tuple[int, bool] | None] = {
+    "surge": (ACCEL, True),
+    "gyro_instability": (GYRO, False),
+    "accel_instability": (ACCEL, False),
+    "gyro_walk": (GYRO, False),
+    "accel_walk": (ACCEL, False),
+    "shaking": (ACCEL, False),
+    "rocking": None,  # the gyros measure it
+}
+"""Sensor that has each disturbance as an error, and whether it has it in n; the others are in b."""
+
+_KNOWN_ERRORS = {
+    *("gyro_bias", "accel_bias", "gyro_matrix", "accel_matrix"),
+    *("gyro_noise", "accel_noise", "gyro_quantum", "accel_quantum"),
+}
+"""Fields of `SensorErrors` that the bound takes into account."""
+
+_VELOCITIES = ("surge", "shaking")
+"""Processes whose changes are part of an increment; the others are rates."""
+
+
+class BaseMotion(NamedTuple):
+    """Motion of the base at some times.
+
+    Attributes:
+        attitude: (n, 3, 3) C_b^n.
+        rate: (n, 3) w_ib in b, rad/s.
+    """
+
+    attitude: np.ndarray
+    rate: np.ndarray
+
+
+@dataclass(frozen=True)
+class HeadingProblem:
+    """A base and its sensors, whose heading is bounded.
+
+    Attributes:
+        motion: true motion of the base, a function of times (n,), s.
+        place: Earth rates and gravity; not a pole.
+        dt: sample time, s. Steps are of whole samples and have one length.
+        errors: standard deviations of the sensors' errors: white noise of a sample's increments,
+            not zero for the accelerometers, and constant errors, zero for a known one. Quanta are
+            not read, see `increment_errors`.
+        increment_errors: function of a step, s, that returns drifts, surge and vibration.
+        still: whether the base is at rest, without constant errors, and its bound measured from its
+            floor. Each sample is a step then.
+        longest_step_s: longest step, s, unless a sample is longer.
+        nodes: points per step at which the motion is read.
+    """
+
+    motion: Callable[[np.ndarray], BaseMotion]
+    place: Place
+    dt: float
+    errors: SensorErrors
+    increment_errors: Callable[[float], IncrementErrors] = lambda step: {}
+    still: bool = False
+    longest_step_s: float = LONGEST_STEP_S
+    nodes: int = MOTION_NODES
+
+    def __post_init__(self) -> None:
+        """Refuse an error of the sensors that would be left out."""
+        for name, sigma in self.errors._asdict().items():
+            if name not in _KNOWN_ERRORS and sigma is not None and np.any(sigma):
+                text = f"the information bound does not know {name} (leave its keys out)"
+                raise InputError(f"[sensors]: {text}")
+
+    @property
+    def constant_sigmas(self) -> np.ndarray:
+        """Standard deviations of the constant errors, (24,), matrices row by row."""
+        errors = self.errors
+        constant = errors.gyro_bias, errors.accel_bias, errors.gyro_matrix, errors.accel_matrix
+        return np.concatenate([np.ravel(part) for part in constant])
+
+
+def coloured_errors(disturbances: Disturbances, step: float) -> dict[str, IncrementError]:
+    """Return the errors of the increments that the random processes of base and sensors make.
+
+    Args:
+        disturbances: processes from step to step, none of them drawn.
+        step: s.
+    """
+    errors = {}
+    for name, process in disturbances._asdict().items():
+        if process is None or (entry := _COLOURED[name]) is None:
+            continue
+        sensor, in_n = entry
+        if name in _VELOCITIES:
+            a, c = jnp.asarray(process.transition), jnp.asarray(process.output)
+            process = process._replace(output=c @ (a - jnp.eye(len(c))), direct=c @ process.drive)
+        else:
+            process = process._replace(scale=process.scale * step)
+        errors[name] = IncrementError(process, sensor, in_n)
+    return errors
+
+
+def parked(attitude: np.ndarray, place: Place, times_s: np.ndarray) -> BaseMotion:
+    """Return the motion of a base at rest with an attitude C_b^n (3, 3)."""
+    rate = np.array([0.0, place.rate_n, place.rate_u]) @ attitude
+    count = len(times_s)
+    return BaseMotion(np.broadcast_to(attitude, (count, 3, 3)), np.broadcast_to(rate, (count, 3)))
+
+
+def heading_bound(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarray:
+    """Return the least 1 sigma of phi_u of any unbiased estimator, rad.
 
     Args:
         times_s: lengths of the data, s, ascending, of whole samples.
-        place: Earth rates and gravity; not a pole.
-        errors: of the sensors, with white noise of the accelerometers.
-        disturbances: of base and sensors, none of them drawn.
-        dt: sample time, s.
-        to_n: (3, 3) mean C_b^n, which matters if axes differ; None for a body along n.
+        problem: base and sensors.
 
     Returns:
         (times,); infinite while the heading is not observable.
     """
-    model = sample_model(place, errors, disturbances, dt, np.eye(3) if to_n is None else to_n)
-    samples = [round(time / dt) for time in times_s]
-    information = dict(zip(samples, _accumulate_information(model, samples), strict=True))
-    return np.array([_heading_sigma(information[count]) for count in samples])
+    return np.sqrt(_heading_variances(times_s, problem).total[:, 0])
 
 
-def _heading_sigma(information: np.ndarray) -> float:
-    """Return 1 sigma of the last of three unknowns; infinite without information on it."""
+def heading_budget(times_s: Sequence[float], problem: HeadingProblem) -> dict[str, np.ndarray]:
+    """Return what each source of errors adds to the variance of the bound.
+
+    The estimator of least variance is linear in the data and best for the sum of all sources, so
+    to first order a change of one source changes that sum as if the estimator stayed as it is: the
+    share of a source is the derivative of the variance by the logarithm of its own variance.
+    The shares add up to the variance.
+
+    Args:
+        times_s: see `heading_bound`; the heading is observable at all of them.
+        problem: base and sensors.
+
+    Returns:
+        (times,) rad^2, of `NOISE_SOURCES`, the `increment_errors`, and `CONSTANT_SOURCES`.
+    """
+    total, constant = _heading_variances(times_s, problem, small := 1e-3)
+    noise = (total[:, 1:] - total[:, :1]) / small
+    biases = constant[:, :6].reshape(-1, 2, 3).sum(axis=2)
+    matrices = constant[:, 6:].reshape(-1, 2, 3, 3)
+    scale = np.trace(matrices, axis1=2, axis2=3)
+    cross = matrices.sum(axis=(2, 3)) - scale
+    parts = np.concatenate([noise, biases, np.stack([scale, cross], 2).reshape(-1, 4)], axis=1)
+    parts *= (total[:, 0] / parts.sum(axis=1))[:, None]
+    names = (*NOISE_SOURCES, *problem.increment_errors(problem.dt), *CONSTANT_SOURCES)
+    return dict(zip(names, parts.T, strict=True))
+
+
+class _HeadingVariances(NamedTuple):
+    """Variances of phi_u, rad^2.
+
+    Attributes:
+        total: (times, cases), as it is and with the noise of each source in turn changed.
+        constant: (times, 24) what the constant errors add as it is.
+    """
+
+    total: np.ndarray
+    constant: np.ndarray
+
+
+def _heading_variances(
+    times_s: Sequence[float], problem: HeadingProblem, change: float | None = None
+) -> _HeadingVariances:
+    """Return the variances, and those with a relative change of each noise's own variance."""
+    samples = [round(time / problem.dt) for time in times_s]
+    longest = problem.dt if problem.still else problem.longest_step_s
+    per_step = _samples_per_step(math.gcd(*samples), longest / problem.dt)
+    step = per_step * problem.dt
+    processes = _stack(tuple(problem.increment_errors(step).values()))
+    white = len(NOISE_SOURCES)
+    scales = np.ones((1, white + len(processes.errors)))
+    if change is not None:
+        scales = np.concatenate([scales, 1 + change * np.eye(scales.size)])
+    sigmas = problem.constant_sigmas
+    unknown = sigmas > 0
+    prior = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
+    information = np.broadcast_to(prior, (len(scales), *prior.shape))
+    begin = np.tensordot(scales[:, white:], processes.begin, 1)
+    p = np.pad(begin, ((0, 0), (3, 0), (3, 0)))
+    response = np.zeros((*p.shape[:2], len(prior)))
+    response[:, :3, :3] = np.eye(3)
+    steps = _iter_steps(samples[-1] // per_step, step, problem, processes, scales, unknown)
+    done, totals, constants = 0, [], np.zeros((len(samples), len(sigmas)))
+    for time, count in enumerate(samples):
+        rows = [np.zeros((len(scales), 0, len(prior)))]
+        for f, g, noise in itertools.islice(steps, count // per_step - done):
+            p = f @ p @ f.T + noise
+            response = f @ response
+            if g.size:
+                response[:, :5, 3:] += g
+            root = _inverse_root(p[:, _LEVEL, _LEVEL])
+            gain = p[:, 2:, _LEVEL] @ root.transpose(0, 2, 1)
+            rows.append(root @ response[:, _LEVEL])
+            response = response[:, 2:] - gain @ rows[-1]
+            p = p[:, 2:, 2:] - gain @ gain.transpose(0, 2, 1)
+        whitened = np.concatenate(rows, axis=1)
+        information = information + whitened.transpose(0, 2, 1) @ whitened
+        done = count // per_step
+        if problem.still:
+            known, sought = np.zeros(len(scales)), np.eye(1, len(prior), _HEADING)
+        else:
+            known, sought = p[:, _HEADING, _HEADING], response[:, _HEADING]
+        sought = np.broadcast_to(sought, (len(scales), len(prior)))
+        cases = [_estimate(*case) for case in zip(sought, information, strict=True)]
+        totals.append(known + [case.variance for case in cases])
+        constants[time, unknown] = np.square(cases[0].weights[3:] / sigmas[unknown])
+    return _HeadingVariances(np.array(totals), constants)
+
+
+class _Estimate(NamedTuple):
+    """Variance R J^-1 R' of R theta, and the weights J^-1 R'; infinite if it is unobservable."""
+
+    variance: float
+    weights: np.ndarray
+
+
+def _estimate(sought: np.ndarray, information: np.ndarray) -> _Estimate:
+    """Return what the data tell of a sum R theta of the unknowns."""
+    unobservable = _Estimate(np.inf, np.full(len(information), np.inf))
     scale = np.sqrt(np.diag(information))
     if not scale.all():
-        return np.inf
+        return unobservable
     # Scaled, since tilts are known a thousand times better than the heading.
-    root = np.linalg.cholesky(information / np.outer(scale, scale))
-    return 1 / float(root[-1, -1] * scale[-1])
+    try:
+        root = np.linalg.cholesky(information / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return unobservable
+    part = np.linalg.solve(root, sought / scale)
+    return _Estimate(float(part @ part), np.linalg.solve(root.T, part) / scale)
 
 
-def _accumulate_information(model: SampleModel, samples: Sequence[int]) -> Iterator[np.ndarray]:
-    """Yield the information d' C^-1 d (3, 3) on phi(0) after numbers of samples, ascending."""
-    f, p = model.transition, model.initial
-    response = np.zeros((len(f), 3))
-    response[_PHI] = np.eye(3)
-    total, done = np.zeros((3, 3)), 0
-    for count in samples:
-        for _ in range(done, count):
-            p = f @ p @ f.T + model.noise
-            response = f @ response
-            innovation, s = response[_LEVEL], p[_LEVEL, _LEVEL]
-            gain = np.linalg.solve(s, p[_LEVEL]).T
-            total = total + innovation.T @ np.linalg.solve(s, innovation)
-            response = response - gain @ innovation
-            p = p - gain @ p[_LEVEL]
-            p = (p + p.T) / 2
-            p[_LEVEL], p[:, _LEVEL] = 0.0, 0.0  # u is known, except for rounding
-        done = count
-        yield total
+def _inverse_root(s: np.ndarray) -> np.ndarray:
+    """Return the inverses of the Cholesky factors of matrices (cases, 2, 2).
 
-
-def sample_model(
-    place: Place, errors: SensorErrors, disturbances: Disturbances, dt: float, to_n: np.ndarray
-) -> SampleModel:
-    """Return the model of a base at rest, whose velocity has the disturbances."""
-    coloured = increment_error_processes(disturbances, dt).values()
-    n = PHI_U + 1 + sum(3 * len(process.drive) for process, _ in coloured)
-    f, noise, initial = np.eye(n), np.zeros((n, n)), np.zeros((n, n))
-    still = Navigation(Quat(1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
-    level = five_state_transition(still, place, Vec3(0.0, 0.0, place.gravity * dt), dt)
-    for where, entry in entries_as_numbers(level).items():
-        f[where] += entry
-    for first, sigma in ((VELOCITY, errors.accel_noise), (ANGLE, errors.gyro_noise)):
-        effect = _effect_of_increments(first, to_n)
-        noise[:5, :5] += effect * np.square(sigma) @ effect.T
-    at = PHI_U + 1
-    for process, (first, axes) in coloured:
-        effect = _effect_of_increments(first, np.eye(3) if axes == IN_N else to_n) * process.scale
-        states = slice(at, at + 3 * len(process.drive))
-        f[:5, states] = np.kron(effect, process.output)
-        f[states, states] = np.kron(np.eye(3), process.transition)
-        driven = np.zeros((n, 3))
-        driven[:5] = effect * process.direct
-        driven[states] = np.kron(np.eye(3), process.drive[:, None])
-        noise += driven @ driven.T
-        initial[states, states] = np.kron(np.eye(3), process.begin @ process.begin.T)
-        at = states.stop
-    return SampleModel(f, noise, initial)
-
-
-def _effect_of_increments(first: int, to_n: np.ndarray) -> np.ndarray:
-    """Return the change of u and phi by errors of one sensor's increments, (5, 3)."""
-    out = np.zeros((5, 3))
-    if first == VELOCITY:
-        out[_LEVEL] = to_n[:2]
-    else:
-        out[_PHI] = -to_n
+    LAPACK spends longer on its checks of each call than on matrices of this size.
+    """
+    first = np.sqrt(s[:, 0, 0])
+    below = s[:, 1, 0] / first
+    second = np.sqrt(s[:, 1, 1] - below * below)
+    out = np.zeros(s.shape)
+    out[:, 0, 0], out[:, 1, 0], out[:, 1, 1] = 1 / first, -below / (first * second), 1 / second
     return out
+
+
+def _samples_per_step(samples: int, longest: float) -> int:
+    """Return the largest divisor of a number of samples that is not above ``longest``, or 1."""
+    most = max(1, int(longest * (1 + 1e-9)))
+    return next(count for count in range(min(most, samples), 0, -1) if samples % count == 0)
+
+
+class _Processes(NamedTuple):
+    """Coloured errors as one system x <- A x + b w, y = c x + d w, whose states are stacked.
+
+    Attributes:
+        errors: the sources, d among them.
+        transition: (n, n) A.
+        output: (sources, 3, n) c.
+        drive: (sources, n, 3) b.
+        begin: (sources, n, n) covariance of x before the first step.
+    """
+
+    errors: Sequence[IncrementError]
+    transition: np.ndarray
+    output: np.ndarray
+    drive: np.ndarray
+    begin: np.ndarray
+
+
+def _stack(errors: Sequence[IncrementError]) -> _Processes:
+    """Return the processes of three axes each, one after the other."""
+    count, n = len(errors), sum(3 * len(error.process.drive) for error in errors)
+    shapes = (n, n), (count, 3, n), (count, n, 3), (count, n, n)
+    out = _Processes(errors, *map(np.zeros, shapes))
+    axes, at = np.eye(3), 0
+    for source, (process, *_) in enumerate(errors):
+        own = slice(at, at + 3 * len(process.drive))
+        out.transition[own, own] = np.kron(axes, process.transition)
+        out.output[source, :, own] = np.kron(axes, process.output)
+        out.drive[source, own] = np.kron(axes, process.drive[:, None])
+        begin = np.kron(axes, process.begin)
+        out.begin[source, own, own] = begin @ begin.T
+        at = own.stop
+    return out
+
+
+class _Steps(NamedTuple):
+    """x <- F x + G c + noise over steps, for u, phi and the states of the processes.
+
+    Attributes:
+        transition: (steps, n, n - 2) F, without the columns of u, which is known.
+        constant: (steps, 5, 24) G of the constant errors, see `HeadingProblem.constant_sigmas`.
+        noise: (steps, sources, n, n) covariance of the noise of each source.
+    """
+
+    transition: np.ndarray
+    constant: np.ndarray
+    noise: np.ndarray
+
+
+def _iter_steps(
+    count: int,
+    step: float,
+    problem: HeadingProblem,
+    processes: _Processes,
+    scales: np.ndarray,
+    unknown: np.ndarray,
+) -> Iterator[_Steps]:
+    """Yield each step, with the noise (cases, n, n) of its sources together."""
+    for first in range(0, count, _CHUNK):
+        numbers = np.arange(first, min(first + _CHUNK, count))
+        steps = _integrate_steps(problem, numbers, step, processes)
+        noise = np.tensordot(steps.noise, scales, (1, 1)).transpose(0, 3, 1, 2)
+        yield from map(_Steps, steps.transition, steps.constant[:, :, unknown], noise)
+
+
+def _integrate_steps(
+    problem: HeadingProblem, numbers: np.ndarray, step: float, processes: _Processes
+) -> _Steps:
+    """Return the steps with some numbers."""
+    place, count, nodes = problem.place, len(numbers), 1 if problem.still else problem.nodes
+    into = (np.arange(nodes) + 0.5) / nodes * step
+    c, w = problem.motion((numbers[:, None] * step + into).ravel())
+    c, w = c.reshape(count, nodes, 3, 3), w.reshape(count, nodes, 3)
+    f = place.gravity * c[:, :, 2]
+    # An error of the rate tilts the platform for what is left of the step.
+    left, half = (0 * into, 0.0) if problem.still else (step - into, step**2 / 2)
+    lean = place.gravity * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # u' of phi
+    wn, wu = place.rate_n, place.rate_u
+    turn = np.array([[0.0, wu, -wn], [-wu, 0.0, 0.0], [wn, 0.0, 0.0]])  # phi' of phi
+
+    def integrate(x: np.ndarray, power: int = 0) -> np.ndarray:
+        weights = step / nodes * left**power
+        return np.einsum("m,kmij->kij", weights, x)
+
+    def effect(sensor: int, error: np.ndarray) -> np.ndarray:
+        """Return what errors along n (count, nodes, 3, errors) do to u and phi."""
+        out = np.zeros((count, 5, error.shape[-1]))
+        if sensor == GYRO:
+            out[:, _LEVEL], out[:, _PHI] = -lean @ integrate(error, 1), -integrate(error)
+        else:
+            out[:, _LEVEL] = integrate(error[:, :, :2])
+        return out
+
+    c_w, c_f = (np.einsum("kmai,kmj->kmaij", c, x).reshape(*c.shape[:3], 9) for x in (w, f))
+    parts = effect(GYRO, c), effect(ACCEL, c), effect(GYRO, c_w), effect(ACCEL, c_f)
+    constant = np.concatenate(parts, axis=2)
+
+    n, white = 5 + len(processes.transition), len(NOISE_SOURCES)
+    transition = np.zeros((count, n, n - 2))
+    transition[:, _LEVEL, 0:3] = lean @ (np.eye(3) * step + turn * half)
+    transition[:, _PHI, 0:3] = np.eye(3) + turn * step + turn @ turn * half
+    transition[:, 5:, 3:] = processes.transition
+    noise = np.zeros((count, white + len(processes.errors), n, n))
+    errors, root_dt = problem.errors, np.sqrt(problem.dt)
+    gyro, accel = (
+        c * np.square(np.asarray(sigma) / root_dt) @ np.swapaxes(c, -1, -2)
+        for sigma in (errors.gyro_noise, errors.accel_noise)
+    )
+    across = lean @ integrate(gyro, 1)
+    noise[:, GYRO, _LEVEL, _LEVEL] = lean @ integrate(gyro, 2) @ lean.T
+    noise[:, GYRO, _LEVEL, _PHI], noise[:, GYRO, _PHI, _LEVEL] = across, across.swapaxes(1, 2)
+    noise[:, GYRO, _PHI, _PHI] = integrate(gyro)
+    noise[:, ACCEL, _LEVEL, _LEVEL] = integrate(accel[:, :, :2, :2])
+    for source, (process, sensor, in_n) in enumerate(processes.errors):
+        of_axes = _IN_N if in_n else constant[:, :, 3 * sensor : 3 * sensor + 3] / step
+        of_axes = of_axes * process.scale
+        transition[:, :5, 3:] += of_axes @ processes.output[source]
+        driven = np.zeros((count, n, 3))
+        driven[:, :5], driven[:, 5:] = of_axes * process.direct, processes.drive[source]
+        noise[:, white + source] = driven @ driven.swapaxes(1, 2)
+    return _Steps(transition, constant, noise)

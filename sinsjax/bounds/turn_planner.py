@@ -7,19 +7,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sinsjax.bounds.coloured_noise import increment_error_processes
-from sinsjax.bounds.turning_information import (
+from sinsjax.bounds.information import (
     LONGEST_STEP_S,
-    ConstantErrors,
+    BaseMotion,
     HeadingProblem,
     IncrementErrors,
-    WhiteNoise,
-    turning_heading_bound,
+    coloured_errors,
+    heading_bound,
 )
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.earth import Place
+from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.study import display
 from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM, micro_g
 
@@ -109,7 +109,7 @@ def plan_turns(
     too short are left out.
 
     The heading is that of the body at the end of the data, and the error is the information bound
-    of `sinsjax.bounds.turning_information`, on the WGS-84 ellipsoid.
+    of `sinsjax.bounds.information`, on the WGS-84 ellipsoid.
 
     Args:
         gyro_bias_deg_per_h: 1 sigma of the turn-on bias of each gyro, deg/h.
@@ -161,27 +161,22 @@ def plan_turns(
             gyro_instability=drift(gyro_instability_deg_per_h * DEG_PER_H, gyro_instability_time_s),
             accel_instability=drift(accel_instability_ug * ug, accel_instability_time_s),
         )
-        return tuple(increment_error_processes(drifts, step).values())
+        return coloured_errors(drifts, step)
 
+    dt = duration_s / math.ceil(duration_s / LONGEST_STEP_S)
+    errors = SensorErrors(
+        gyro_bias=gyro_bias_deg_per_h * DEG_PER_H * _AXES,
+        accel_bias=accel_bias_ug * ug * _AXES,
+        gyro_noise=gyro_arw_deg_per_sqrt_h * DEG_PER_SQRT_H * math.sqrt(dt) * _AXES,
+        accel_noise=accel_vrw_ug_per_sqrt_hz * ug * math.sqrt(dt) * _AXES,
+        gyro_matrix=matrix,
+        accel_matrix=np.zeros((3, 3)),
+    )
     options = []
     for name, motion in _iter_motions(duration_s):
-        problem = HeadingProblem(
-            partial(_attitude_and_rate, motion, place, duration_s),
-            place=place,
-            dt=duration_s / math.ceil(duration_s / LONGEST_STEP_S),
-            noise=WhiteNoise(
-                gyro_arw_deg_per_sqrt_h * DEG_PER_SQRT_H * _AXES,
-                accel_vrw_ug_per_sqrt_hz * ug * _AXES,
-            ),
-            constant=ConstantErrors(
-                gyro_bias_deg_per_h * DEG_PER_H * _AXES,
-                accel_bias_ug * ug * _AXES,
-                matrix,
-                np.zeros((3, 3)),
-            ),
-            increment_errors=increment_errors,
-        )
-        (sigma,) = turning_heading_bound([duration_s], problem)
+        turning = partial(_turn_base, motion, place, duration_s)
+        problem = HeadingProblem(turning, place, dt, errors, increment_errors)
+        (sigma,) = heading_bound([duration_s], problem)
         options.append(TurnOption(name, float(sigma / ARCMIN), motion))
     return TurnChoice(tuple(options))
 
@@ -234,31 +229,22 @@ def _turn_keys(times_s: list[float], angles_deg: list[float], rate: float) -> di
     }
 
 
-def _attitude_and_rate(
+def _turn_base(
     motion: dict[str, Any], place: Place, end_s: float, times_s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return C_b^n (n, 3, 3) and w_ib in b (n, 3), rad/s, of a level base that turns."""
-    angle, rate = _turned_angle(motion, end_s, times_s)
-    sin, cos, zero, one = np.sin(angle), np.cos(angle), 0 * angle, 1 + 0 * angle
-    c = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).reshape(-1, 3, 3)
-    w = np.stack([place.rate_n * sin, place.rate_n * cos, place.rate_u + rate], -1)
-    return c, w
-
-
-def _turned_angle(
-    motion: dict[str, Any], end_s: float, times_s: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the angle (rad) and rate (rad/s) of turns at times (n,), from keys of [motion]."""
-    angle, rate = np.zeros_like(times_s), np.zeros_like(times_s)
-    if not motion:
-        return angle, rate
-    speed, ramp = motion["turn_rate_deg_per_s"], motion["turn_ramp_s"]
+) -> BaseMotion:
+    """Return the motion of a level base that turns, from keys of [motion]."""
+    angle, speed = np.zeros_like(times_s), np.zeros_like(times_s)
+    rate, ramp = motion.get("turn_rate_deg_per_s", 0.0), _RAMP_S
     for again in np.arange(0.0, end_s, motion.get("turn_repeat_s", end_s)):
-        for begin, whole in zip(motion["turn_times_s"], motion["turn_angles_deg"], strict=True):
-            for sign, start in ((1, begin + again), (-1, begin + again + abs(whole) / speed)):
+        turns = zip(motion.get("turn_times_s", ()), motion.get("turn_angles_deg", ()), strict=True)
+        for begin, whole in turns:
+            for sign, start in ((1, begin + again), (-1, begin + again + abs(whole) / rate)):
                 x = np.clip((times_s - start) / ramp, 0, 1)
-                factor = sign * math.copysign(speed, whole) * DEG
+                factor = sign * math.copysign(rate, whole) * DEG
                 path = ramp * x**4 * (2.5 - 3 * x + x * x) + np.maximum(times_s - start - ramp, 0)
                 angle += factor * path
-                rate += factor * x**3 * (10 - 15 * x + 6 * x * x)
-    return angle, rate
+                speed += factor * x**3 * (10 - 15 * x + 6 * x * x)
+    sin, cos, zero, one = np.sin(angle), np.cos(angle), 0 * angle, 1 + 0 * angle
+    attitude = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1)
+    w = np.stack([place.rate_n * sin, place.rate_n * cos, place.rate_u + speed], -1)
+    return BaseMotion(attitude.reshape(-1, 3, 3), w)

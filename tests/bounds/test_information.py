@@ -1,111 +1,108 @@
-"""The information bound against generalised least squares with the whole covariance of the data."""
+"""The information bound: dense matrices, closed forms and published cells, at rest and turning."""
+
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from oracles.white_noise_bound import white_noise_bound
 from scipy.linalg import toeplitz
+from scipy.spatial.transform import Rotation
 
-from sinsjax.bounds.information import heading_bound
+from sinsjax.bounds.information import (
+    GYRO,
+    BaseMotion,
+    HeadingProblem,
+    IncrementError,
+    coloured_errors,
+    heading_bound,
+    parked,
+)
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.strapdown.sensors import error_free_sensors
-from sinsjax.units import DEG, DEG_PER_H, MICRO
+from sinsjax.strapdown.sensors import SensorErrors, error_free_sensors
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H, DEG_PER_SQRT_H, micro_g
+
+PLACE = earth.place(earth.wgs84(), 45 * DEG)
+AXES, UG, NORTH = np.ones(3), micro_g(), np.eye(3)
+WEST = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+# A base at rest, with samples of DT
 
 DT = 0.25
-PLACE = earth.place(earth.wgs84(), 50 * DEG)
-ACCEL, GYRO = 500 * MICRO * 9.8 * 0.05, 0.5 * DEG_PER_H * DT  # of an increment, m/s and rad
+ACCEL, GYROS = 500 * UG * 0.05, 0.5 * DEG_PER_H * DT  # of an increment, m/s and rad
 OF_SURGE = {
     "third order": processes.bounded_velocity_process(np.array([0.1, 0.2, 0.1]), 5.0, 0.5, DT),
     "gauss-markov": processes.gauss_markov_process(np.array([0.1, 0.2, 0.1]), 5.0, DT),
 }
 
 
-def errors(accel=(ACCEL,) * 3, gyro=(GYRO,) * 3):
-    return error_free_sensors()._replace(accel_noise=np.array(accel), gyro_noise=np.array(gyro))
+def still_problem(accel=ACCEL * AXES, gyro=GYROS * AXES, to_n=NORTH, **disturbances):
+    return HeadingProblem(
+        partial(parked, to_n, PLACE),
+        place=PLACE,
+        dt=DT,
+        errors=error_free_sensors()._replace(accel_noise=accel, gyro_noise=gyro),
+        increment_errors=partial(coloured_errors, Disturbances(**disturbances)),
+        still=True,
+    )
 
 
-def bound(times_s, disturbances=None, **changes):
-    given = {"place": PLACE, "errors": errors(), "dt": DT} | changes
-    return heading_bound(times_s, disturbances=disturbances or Disturbances(), **given)
+def still_bound(time_s, **changes):
+    return heading_bound([time_s], still_problem(**changes))[0]
 
 
 def at_rest():
-    """I + A dt of a base at rest, written out: level velocity error, then misalignment."""
+    """I + A dt, written out: level velocity error, then misalignment."""
     a = np.zeros((5, 5))
     g, wn, wu = PLACE.gravity, PLACE.rate_n, PLACE.rate_u
+    cn, ce = PLACE.curvature_n, PLACE.curvature_e
     a[0, 1], a[1, 0] = 2 * wu, -2 * wu
     a[0, 3], a[1, 2] = -g, g
-    a[2, 1], a[3, 0], a[4, 0] = (
-        -PLACE.curvature_n,
-        PLACE.curvature_e,
-        PLACE.tan_latitude * PLACE.curvature_e,
-    )
+    a[2, 1], a[3, 0], a[4, 0] = -cn, ce, PLACE.tan_latitude * ce
     a[2, 3], a[3, 2] = wu, -wu
     a[2, 4], a[4, 2] = -wn, wn
     return np.eye(5) + a * DT
 
 
-def responses(n):
-    """(n + 1, 5, 5) powers of `at_rest`."""
-    powers = [np.eye(5)]
-    for _ in range(n):
-        powers.append(at_rest() @ powers[-1])
-    return np.array(powers)
-
-
-def by_impulses(n, axis):
-    """(2 n, n) what an error of one increment, of 0-2 velocity or 2-4 angle, does to u later."""
-    powers = responses(n)
-    out = np.zeros((n, 2, n))
-    for j in range(n):
-        out[j:, :, j] = powers[: n - j, :2, axis]
-    return out.reshape(2 * n, n)
-
-
 def autocovariance(process, n):
-    """(n + 1,) of the process at unit scale, from its stationary covariance."""
+    """(n,) of the process at unit scale, from its stationary covariance."""
     c, x, out = process.output, process.begin @ process.begin.T @ process.output, []
-    for _ in range(n + 1):
+    for _ in range(n):
         out.append(c @ x)
         x = process.transition @ x
     return np.array(out)
 
 
-def batch(n, surge=None, drift=None):
-    """The rows d (2 n, 3) and the covariance C (2 n, 2 n) of u, sample by sample."""
-    d = responses(n)[1:, :2, 2:].reshape(2 * n, 3)
-    c = np.zeros((2 * n, 2 * n))
-    for axes, sigma in ((range(2), ACCEL), (range(2, 5), GYRO)):
-        for axis in axes:
-            moved = by_impulses(n, axis)
-            c += sigma**2 * moved @ moved.T
-    for axis in range(2 if surge else 0):
-        changes = np.hstack([-np.eye(n), np.zeros((n, 1))]) + np.hstack(
-            [np.zeros((n, 1)), np.eye(n)]
-        )
-        moved = by_impulses(n, axis) @ changes
-        c += surge.scale[axis] ** 2 * moved @ toeplitz(autocovariance(surge, n)) @ moved.T
-    for name, process in (drift or {}).items():
-        first, end = (2, 5) if name == "gyro_instability" else (0, 2)
-        for axis in range(first, end):
-            moved = by_impulses(n, axis) * DT * process.scale[axis - first]
-            c += moved @ toeplitz(autocovariance(process, n - 1)) @ moved.T
-    return d, c
-
-
-def least_squares(n, surge=None, drift=None):
-    """Generalised least squares: the estimator's rows (3, 2 n), and its covariance."""
-    d, c = batch(n, surge, drift)
-    whitened = np.linalg.solve(c, d)
-    covariance = np.linalg.inv(d.T @ whitened)
-    return covariance @ whitened.T, covariance
+def least_squares_sigma(n, **disturbances):
+    """Generalised least squares with the covariance C (2 n, 2 n) of u, sample by sample."""
+    powers = [np.eye(5)]
+    for _ in range(n):
+        powers.append(at_rest() @ powers[-1])
+    powers = np.array(powers)
+    d, c = powers[1:, :2, 2:].reshape(2 * n, 3), np.zeros((2 * n, 2 * n))
+    changes = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
+    for axis, sigma in enumerate([ACCEL] * 2 + [GYROS] * 3):
+        moved = np.zeros((n, 2, n))  # what an error of one increment does to u later
+        for j in range(n):
+            moved[j:, :, j] = powers[: n - j, :2, axis]
+        moved = moved.reshape(2 * n, n)
+        c += sigma**2 * moved @ moved.T
+        for name, process in disturbances.items():
+            first = 2 if name.startswith("gyro") else 0
+            if (axis >= 2) == (first == 2):
+                entering = moved @ changes if name == "surge" else moved * DT
+                entering = entering * process.scale[axis - first]
+                lags = toeplitz(autocovariance(process, entering.shape[1]))
+                c += entering @ lags @ entering.T
+    return np.sqrt(np.linalg.inv(d.T @ np.linalg.solve(c, d))[2, 2])
 
 
 @pytest.mark.parametrize("name", [None, *OF_SURGE])
 def test_information_bound_matches_generalised_least_squares(name):
-    surge, counts = OF_SURGE.get(name), (40, 200)
-    found = bound([n * DT for n in counts], Disturbances(surge=surge))
-    expected = [np.sqrt(least_squares(n, surge)[1][2, 2]) for n in counts]
+    surge = {"surge": OF_SURGE[name]} if name else {}
+    found = heading_bound([40 * DT, 200 * DT], still_problem(to_n=WEST, **surge))
+    expected = [least_squares_sigma(n, **surge) for n in (40, 200)]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
@@ -116,81 +113,284 @@ def test_information_bound_matches_generalised_least_squares(name):
 )
 def test_bound_with_drifts_matches_generalised_least_squares(name, rms):
     drift = {name: processes.gauss_markov_process(rms * np.array([1.0, 0.5, 0.7]), 5.0, DT)}
-    found = bound([100 * DT], Disturbances(**drift))
-    assert found > 1.1 * bound([100 * DT])
-    expected = np.sqrt(least_squares(100, drift=drift)[1][2, 2])
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    found = still_bound(100 * DT, **drift)
+    assert found > 1.1 * still_bound(100 * DT)
+    np.testing.assert_allclose(found, least_squares_sigma(100, **drift), rtol=1e-5)
 
 
-@pytest.mark.parametrize("name", OF_SURGE)
-def test_least_squares_on_simulated_data_reaches_bound(name):
-    """Each realisation is stepped through, sample by sample."""
-    surge, n, draws, rng = OF_SURGE[name], 200, 4000, np.random.default_rng(1)
-    x = np.einsum("ij,djk->dik", surge.begin, rng.standard_normal((draws, len(surge.drive), 2)))
-    phi0 = np.array([0.01, -0.02, 0.3])
-    state, data = np.tile(np.r_[0.0, 0.0, phi0], (draws, 1)), []
-    for _ in range(n):
-        before = np.einsum("i,dik->dk", surge.output, x)
-        w = rng.standard_normal((draws, 1, 2))
-        x = np.einsum("ij,djk->dik", surge.transition, x) + surge.drive[:, None] * w
-        state = state @ at_rest().T
-        state[:, :2] += ACCEL * rng.standard_normal((draws, 2))
-        state[:, :2] += (np.einsum("i,dik->dk", surge.output, x) - before) * surge.scale[:2]
-        state[:, 2:] += GYRO * rng.standard_normal((draws, 3))
-        data.append(state[:, :2].copy())
-    weights, _ = least_squares(n, surge)
-    estimates = np.stack(data, axis=1).reshape(draws, 2 * n) @ weights[2]
-    (sigma,) = bound([n * DT], Disturbances(surge=surge))
-    assert np.std(estimates) == pytest.approx(sigma, rel=5 / (2 * draws) ** 0.5)
-    assert np.mean(estimates) == pytest.approx(phi0[2], abs=4 * sigma / draws**0.5)
-
-
-@pytest.mark.parametrize(("gyro", "most"), [(0.1 * GYRO, 1.01), (GYRO, 1.1)])
+@pytest.mark.parametrize(("gyro", "most"), [(0.1 * GYROS, 1.01), (GYROS, 1.1)])
 def test_white_noise_bound_is_near_closed_form(gyro, most):
     """A bound of the bound, and close to it where one of two noises dominates."""
-    times = [100.0, 300.0]
-    closed = white_noise_bound(
-        np.array(times),
-        gyro_noise=gyro / DT,
-        accel_noise=ACCEL / DT,
-        rate_hz=1 / DT,
-        gravity=PLACE.gravity,
-        rate_n=PLACE.rate_n,
-    )
-    ratio = bound(times, errors=errors(gyro=(gyro,) * 3)) / closed
+    times = np.array([100.0, 300.0])
+    noise = {"gyro_noise": gyro / DT, "accel_noise": ACCEL / DT, "rate_hz": 1 / DT}
+    closed = white_noise_bound(times, **noise, gravity=PLACE.gravity, rate_n=PLACE.rate_n)
+    ratio = heading_bound(times.tolist(), still_problem(gyro=gyro * AXES)) / closed
     assert np.all((ratio > 0.999) & (ratio < most))
 
 
 def test_bound_grows_with_surge_correlation_time():
     def of(time_s, rms=0.1):
-        surge = processes.gauss_markov_process(np.full(3, rms), time_s, DT)
-        return bound([60.0], Disturbances(surge=surge))[0]
+        return still_bound(60.0, surge=processes.gauss_markov_process(rms * AXES, time_s, DT))
 
-    assert bound([60.0])[0] < of(0.5) < of(5.0)
-    assert of(5.0, rms=1e-6) == pytest.approx(bound([60.0])[0], rel=1e-3)
-
-
-def test_bounded_vibration_barely_raises_bound():
-    shaking = processes.resonance_process(np.full(3, 1e-3), 1.5, 0.1, DT)
-    rocking = processes.resonance_process(np.full(3, 1e-6), 1.5, 0.1, DT)
-    alone, shaken = bound([120.0])[0], bound([120.0], Disturbances(shaking=shaking))[0]
-    assert alone < shaken < 1.01 * alone
-    assert bound([120.0], Disturbances(rocking=rocking))[0] == alone  # the gyros measure it
+    assert still_bound(60.0) < of(0.5) < of(5.0)
+    assert of(5.0, rms=1e-6) == pytest.approx(still_bound(60.0), rel=1e-3)
 
 
-def test_gyro_random_walk_raises_bound():
-    walk = processes.sampled_mean_of_random_walk(np.full(3, 1e-8), DT)
-    assert bound([300.0], Disturbances(gyro_walk=walk))[0] > 1.5 * bound([300.0])[0]
+def test_bounded_vibration_barely_raises_bound_and_walk_does():
+    shaking = processes.resonance_process(1e-3 * AXES, 1.5, 0.1, DT)
+    rocking = processes.resonance_process(1e-6 * AXES, 1.5, 0.1, DT)
+    walk = processes.sampled_mean_of_random_walk(1e-8 * AXES, DT)
+    alone = still_bound(120.0)
+    assert alone < still_bound(120.0, shaking=shaking) < 1.01 * alone
+    assert still_bound(120.0, rocking=rocking) == alone  # the gyros measure it
+    assert still_bound(300.0, gyro_walk=walk) > 1.5 * still_bound(300.0)
+    assert still_bound(120.0, accel_walk=walk) == pytest.approx(alone, rel=1e-3)
 
 
 def test_sensor_noise_axes_rotate_with_body():
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # heading 90 deg
-    ahead = bound([60.0], errors=errors((ACCEL, 3 * ACCEL, ACCEL), (GYRO, 2 * GYRO, GYRO)))
-    aside = bound(
-        [60.0], errors=errors((3 * ACCEL, ACCEL, ACCEL), (2 * GYRO, GYRO, GYRO)), to_n=turned
+    x, y = np.array([3.0, 1.0, 1.0]), np.array([1.0, 3.0, 1.0])
+    ahead = still_bound(60.0, accel=ACCEL * y, gyro=GYROS * y)
+    aside = still_bound(60.0, accel=ACCEL * x, gyro=GYROS * x, to_n=WEST)
+    assert aside == pytest.approx(ahead, rel=1e-12)
+
+
+def test_one_sample_or_step_carries_almost_no_heading_information():
+    assert still_bound(DT) > 100 * still_bound(10.0)
+    assert bound(0.5, motion(), MEMS)[0] > 1e6
+
+
+DISTURBED = {
+    "white noise": {},
+    "surge": {"surge": OF_SURGE["gauss-markov"]},
+    "drift": {"gyro_instability": processes.gauss_markov_process(DEG_PER_H * AXES, 5.0, DT)},
+}
+
+
+@pytest.mark.parametrize("name", DISTURBED)
+def test_parked_bound_with_known_biases_equals_bound_from_floor(name):
+    """The heading at the end with steps of second order, and at the beginning with the first."""
+    problem, times = still_problem(**DISTURBED[name]), [30.0, 120.0, 300.0]
+    from_truth = replace(problem, still=False, longest_step_s=DT)
+    found, expected = heading_bound(times, from_truth), heading_bound(times, problem)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+# A base that turns, and constant errors with priors
+
+RAMP_S = 1.0
+MEMS, FOG, LASER = (1, 0.02, 500, 50), (0.1, 0.005, 200, 30), (0.01, 0.001, 50, 10)
+"""Gyro bias (deg/h), random walk (deg/sqrt(h)), accelerometer bias (ug) and noise (ug/sqrt(Hz))."""
+
+
+def earth_rate(place):
+    return np.array([0.0, place.rate_n, place.rate_u])
+
+
+def turned_angle(turns, rate, t):
+    """Angle (deg) of turns (begin in s, angle in deg) at a rate (deg/s), with ramps."""
+    angle = 0 * t
+    for begin, whole in turns:
+        for sign, start in ((1, begin), (-1, begin + abs(whole) / rate)):
+            x = np.clip((t - start) / RAMP_S, 0, 1)
+            path = RAMP_S * x**4 * (2.5 - 3 * x + x * x) + np.maximum(t - start - RAMP_S, 0)
+            angle = angle + sign * np.copysign(rate, whole) * path
+    return angle
+
+
+def motion(turns=(), rate=10.0, sway=(), heading_deg=0.0, place=PLACE):
+    """A base that turns and sways: amplitude (deg), period (s) and phase (rad) of pitch, roll."""
+
+    def attitude(t):
+        angles = np.zeros((len(t), 3))
+        angles[:, 0] = heading_deg + turned_angle(turns, rate, t)
+        for axis, (amplitude, period, phase) in enumerate(sway, start=1):
+            angles[:, axis] = amplitude * np.sin(2 * np.pi * t / period + phase)
+        return Rotation.from_euler("ZXY", angles, degrees=True)
+
+    def at(t, half=1e-3):
+        c, before, after = (attitude(t + shift) for shift in (0.0, -half, half))
+        turn = (before.inv() * after).as_rotvec() / (2 * half)
+        return BaseMotion(c.as_matrix(), turn + c.inv().apply(earth_rate(place)))
+
+    return at
+
+
+def centred(middle, angle, rate=10.0):
+    return middle - (abs(angle) / rate + RAMP_S) / 2, angle
+
+
+def sensors(grade, ppm=0.0, mrad=0.0, dt=0.01):
+    gyro_bias, arw, accel_bias, vrw = grade
+    return SensorErrors(
+        gyro_bias=gyro_bias * DEG_PER_H * AXES,
+        accel_bias=accel_bias * UG * AXES,
+        gyro_noise=arw * DEG_PER_SQRT_H * np.sqrt(dt) * AXES,
+        accel_noise=vrw * UG * np.sqrt(dt) * AXES,
+        gyro_matrix=np.where(np.eye(3), ppm * 1e-6, mrad * 1e-3),
+        accel_matrix=np.zeros((3, 3)),
     )
-    np.testing.assert_allclose(ahead, aside, rtol=1e-12)
 
 
-def test_one_sample_carries_almost_no_heading_information():
-    assert np.all(bound([DT, 10.0])[0] > 100 * bound([10.0]))
+def bound(end, moving, grade, ppm=0.0, mrad=0.0, dt=0.01, **changes):
+    """The bound in arcmin."""
+    given = {"errors": sensors(grade, ppm, mrad, dt)} | changes
+    problem = HeadingProblem(moving, place=PLACE, dt=dt, **given)
+    return heading_bound(np.atleast_1d(np.asarray(end, float)).tolist(), problem) / ARCMIN
+
+
+def drifts(rms, times_s, step):
+    """Gauss-Markov drifts of the gyros, rms (rad/s) each."""
+    for time_s in times_s:
+        drift = processes.sampled_mean_of_gauss_markov(rms * AXES, time_s, step)
+        yield IncrementError(drift._replace(scale=drift.scale * step), GYRO)
+
+
+def flicker(deg_per_h):
+    """Flicker noise of the gyros, S = b^2 / (2 pi f), from Gauss-Markov processes."""
+    rms = deg_per_h * DEG_PER_H * np.sqrt(np.log(3.0) / np.pi)
+    return lambda step: dict(enumerate(drifts(rms, 3.0 ** np.arange(9), step)))
+
+
+HALF, LATE_HALF, QUARTER = [centred(150, 180)], [centred(300, 180)], [centred(120, 90)]
+WAVES, ENGINE = ((2, 6, 0.3), (3, 8, 1)), ((0.1, 3, 0), (0.1, 2, 1))
+CELLS = {
+    "laser": (0.9042, 600, motion(LATE_HALF), LASER, {}),
+    "engine": (9.478, 300, motion(QUARTER, sway=ENGINE), FOG, {}),
+    "carousel": (23.22, 300, motion([(0, 1e6)], 6.0), MEMS, {}),
+    "scale": (17.43, 600, motion(LATE_HALF), MEMS, {"ppm": 300, "mrad": 1}),
+    "flicker": (33.59, 600, motion(LATE_HALF), MEMS, {"increment_errors": flicker(0.2)}),
+    "waves": (128.4, 600, motion(LATE_HALF, sway=WAVES), (10, 0.15, 1000, 120), {}),
+}
+"""Bounds in arcmin; `test_turn_planner` has more, of level bases."""
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_bound_matches_cells_of_prototypes(name):
+    expected, *given, others = CELLS[name]
+    assert bound(*given, **others) == pytest.approx(expected, rel=0.01)
+
+
+def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
+    """The bound in rad from the whole covariance of u after each step, by fine Euler steps.
+
+    The gyros drift, with a rms (rad/s) and a correlation time (s).
+    """
+    count, every, errors = round(end / fine), round(step / fine), problem.errors
+    c, w = problem.motion((np.arange(count) + 0.5) * fine)
+    f, turn = PLACE.gravity * c[:, 2], -np.cross(earth_rate(problem.place), np.eye(3)).T
+    kept, eye, root = np.exp(-fine / drift[1]), np.eye(3), np.sqrt(problem.dt * fine)
+    gyro, accel = np.diag(errors.gyro_noise) / root, np.diag(errors.accel_noise) / root
+    # Columns of x: phi(0), then normal numbers of variance 1: for the constant errors, for the
+    # noise of each fine step and axis, and for the drifts.
+    at_noise, at_drift = 27, 27 + 6 * count
+    x = np.zeros((5, at_drift + 3 * (count + 1)))
+    x[2:, :3], drifting = eye, np.zeros((3, x.shape[1]))
+    drifting[:, at_drift : at_drift + 3] = drift[0] * eye
+    rows = []
+    for k in range(count):
+        rate, force = drifting.copy(), np.zeros_like(drifting)
+        rate[:, 3:27] += np.hstack([eye, 0 * eye, np.kron(eye, w[k]), np.zeros((3, 9))])
+        force[:, 3:27] += np.hstack([0 * eye, eye, np.zeros((3, 9)), np.kron(eye, f[k])])
+        for error in (rate, force):
+            error[:, 3:27] *= problem.constant_sigmas
+        own = at_noise + 6 * k
+        rate[:, own : own + 3], force[:, own + 3 : own + 6] = gyro, accel
+        tilt = turn @ x[2:] - c[k] @ rate
+        middle = x[2:] + tilt * fine / 2
+        x[:2] += (c[k, :2] @ force + PLACE.gravity * np.array([-middle[1], middle[0]])) * fine
+        x[2:] += tilt * fine
+        own = at_drift + 3 * (k + 1)
+        drifting *= kept
+        drifting[:, own : own + 3] = drift[0] * np.sqrt(1 - kept**2) * eye
+        if (k + 1) % every == 0:
+            rows.append(x[:2].copy())
+    data, sought = np.concatenate(rows), x[4]
+    d, e = data[:, :3], data[:, 3:]
+    gain = np.linalg.solve(e @ e.T, np.column_stack([d, e @ sought[3:]]))
+    left = sought[:3] - gain[:, 3] @ d
+    known = sought[3:] @ sought[3:] - (e @ sought[3:]) @ gain[:, 3]
+    return np.sqrt(known + left @ np.linalg.solve(d.T @ gain[:, :3], left))
+
+
+@pytest.mark.parametrize("drift", [None, (0.5 * DEG_PER_H, 8.0)])
+@pytest.mark.parametrize("sway", [(), ((2.0, 3.0, 0.3), (3.0, 4.0, 1.0))], ids=["level", "sways"])
+def test_bound_matches_dense_least_squares(sway, drift):
+    """With axes that differ, turns of 10 deg a step, and an Earth that turns 5 deg."""
+    grade = sensors((3.0, 0.02, 500.0, 50.0), 300.0, 1.0)
+    errors = grade._replace(
+        gyro_noise=grade.gyro_noise * [1.0, 2.0, 0.5],
+        accel_noise=grade.accel_noise * [1.0, 0.7, 2.0],
+        accel_matrix=np.full((3, 3), 2e-2),
+    )
+    rms, time_s = drift or (0.0, 1.0)
+    fast = PLACE._replace(rate_n=60 * PLACE.rate_n, rate_u=60 * PLACE.rate_u)
+    moving = motion([(3.0, 170.0)], 20.0, sway, place=fast)
+    problem = HeadingProblem(moving, fast, 0.01, errors)
+    drifting = replace(
+        problem, increment_errors=lambda step: dict(enumerate(drifts(rms, [time_s], step)))
+    )
+    found = heading_bound([20.0], drifting)
+    assert found == pytest.approx(dense_sigma(20.0, problem, (rms, time_s)), rel=2e-3)
+
+
+@pytest.mark.parametrize("grade", [MEMS, FOG, LASER])
+def test_parked_bound_with_bias_priors_is_bias_floor_as_sigma(grade):
+    gyro_bias, arw, accel_bias, vrw = grade
+    known = bound(300, motion(), (0, arw, 0, vrw))
+    floor = np.array([gyro_bias * DEG_PER_H / PLACE.rate_n, accel_bias * UG / PLACE.gravity])
+    drifted = gyro_bias * DEG_PER_H * 150  # of the up gyro, since the middle of the data
+    expected = np.sqrt(known**2 + ((floor @ floor) + drifted**2) / ARCMIN**2)
+    assert bound(300, motion(), grade) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.6])
+def test_half_turn_follows_closed_form(share):
+    """Noise of the slope, over what the mean of exp(i psi) leaves of the bias."""
+    end, (gyro_bias, arw, _, vrw) = 600.0, MEMS
+    n, va = arw * DEG_PER_SQRT_H, vrw * UG
+    r = 2 * va / (PLACE.gravity * n) / end
+    slope = n**2 / end * (1 + 2 * r + 12 * r * r)
+    prior = (gyro_bias * DEG_PER_H) ** 2
+    kappa, mean = prior / (prior + slope), 1 - 2 * share
+    middle = slope / (1 - kappa * mean**2) / PLACE.rate_n**2
+    later = (end / 2) ** 2 / (1 / prior + (end * PLACE.rate_n) ** 2 / (48 * slope))
+    found = bound(end, motion([centred(share * end, 180)]), MEMS)
+    assert found == pytest.approx(np.sqrt(middle + later) / ARCMIN, rel=0.08)
+
+
+def test_scale_factor_costs_half_turn_its_angle_after_mean():
+    """Its standard deviation times (psi_end - mean psi), where biases hide both halves' heading."""
+    moving, ppm = motion(LATE_HALF), 1000.0
+    without, with_scale = (bound(600, moving, MEMS, ppm=given) for given in (0.0, ppm))
+    share = np.sqrt(with_scale**2 - without**2) * ARCMIN
+    # Heading north and south, the scale factors of the level gyros hardly move the heading.
+    assert share == pytest.approx(ppm * 1e-6 * np.pi / 2, rel=0.03)
+
+
+def test_half_turn_finds_heading_without_prior_of_level_gyro_biases():
+    errors = sensors(MEMS)._replace(gyro_bias=np.array([1e4, 1e4, 1]) * DEG_PER_H)
+    assert bound(300, motion(), MEMS, errors=errors) > 1e6
+    turned = bound(300, motion(HALF), MEMS, errors=errors)
+    assert turned == pytest.approx(bound(300, motion(HALF), MEMS), rel=0.01)
+
+
+def test_heading_of_level_base_and_small_sway_do_not_matter():
+    level = bound(300, motion(HALF), FOG)
+    assert bound(300, motion(HALF, heading_deg=90.0), FOG) == pytest.approx(level, rel=1e-9)
+    swaying = motion(HALF, sway=((1.0, 6.0, 0.0), (1.0, 8.0, 0.0)))
+    assert bound(300, swaying, FOG) == pytest.approx(level, rel=0.01)
+
+
+def test_several_times_in_one_call_equal_separate_calls():
+    given, times = {"ppm": 300, "increment_errors": flicker(0.1)}, [100.0, 160.0, 300.0]
+    together = bound(times, motion(HALF), FOG, **given)
+    separate = [bound(time, motion(HALF), FOG, **given)[0] for time in times]
+    np.testing.assert_allclose(together, separate, rtol=1e-9)
+
+
+def test_step_length_has_little_influence():
+    coarse = bound(299.0, motion(HALF), FOG, 300, 1)
+    fine = bound(299.0, motion(HALF), FOG, 300, 1, longest_step_s=0.1)
+    assert coarse == pytest.approx(fine, rel=1e-3)
+    # 2,999 samples are a prime number: steps of one sample
+    assert bound(59.98, motion(), MEMS, dt=0.02) == pytest.approx(bound(60.0, motion(), MEMS), 0.01)

@@ -1,41 +1,26 @@
 """The comparison of usual ways to turn sensors."""
 
-from functools import cache
-
 import pytest
 
 import sinsjax
 from sinsjax.errors import InputError
 
-MEMS = {
-    "gyro_bias_deg_per_h": 1.0,
-    "gyro_arw_deg_per_sqrt_h": 0.02,
-    "accel_bias_ug": 500.0,
-    "accel_vrw_ug_per_sqrt_hz": 50.0,
-}
-FOG = {
-    "gyro_bias_deg_per_h": 0.1,
-    "gyro_arw_deg_per_sqrt_h": 0.005,
-    "accel_bias_ug": 200.0,
-    "accel_vrw_ug_per_sqrt_hz": 30.0,
-}
-LASER = {
-    "gyro_bias_deg_per_h": 0.003,
-    "gyro_arw_deg_per_sqrt_h": 0.0005,
-    "accel_bias_ug": 25.0,
-    "accel_vrw_ug_per_sqrt_hz": 5.0,
-}
+KEYS = ("gyro_bias_deg_per_h", "gyro_arw_deg_per_sqrt_h", "accel_bias_ug")
+KEYS += ("accel_vrw_ug_per_sqrt_hz",)
+MEMS = dict(zip(KEYS, (1.0, 0.02, 500.0, 50.0), strict=True))
+FOG = dict(zip(KEYS, (0.1, 0.005, 200.0, 30.0), strict=True))
+LASER = dict(zip(KEYS, (0.003, 0.0005, 25.0, 5.0), strict=True))
 WITH_SCALE = {"gyro_scale_ppm": 300.0, "gyro_misalignment_arcsec": 206.26}
 
 
-def sigmas(sensors, duration_s, **changes):
-    given = {"latitude_deg": 45.0, "duration_s": duration_s} | sensors | changes
-    return {o.name: o.sigma_arcmin for o in planned(*given.items()).options}
+def plan(sensors, duration_s, **changes):
+    return sinsjax.plan_turns(
+        **{"latitude_deg": 45.0, "duration_s": duration_s} | sensors | changes
+    )
 
 
-@cache
-def planned(*given):
-    return sinsjax.plan_turns(**dict(given))
+def sigmas(*given, **changes):
+    return {option.name: option.sigma_arcmin for option in plan(*given, **changes).options}
 
 
 @pytest.mark.parametrize(
@@ -54,7 +39,7 @@ def test_options_have_published_bounds(sensors, duration_s, name, expected):
 
 
 def test_best_option_has_least_heading_error_and_is_marked():
-    choice = sinsjax.plan_turns(**MEMS, latitude_deg=45.0, duration_s=300.0)
+    choice = plan(MEMS, 300.0)
     assert choice.pays
     assert choice.best.sigma_arcmin == min(o.sigma_arcmin for o in choice.options)
     (line,) = (line for line in repr(choice).splitlines() if line.endswith("best"))
@@ -62,7 +47,7 @@ def test_best_option_has_least_heading_error_and_is_marked():
 
 
 def test_turn_of_good_laser_does_not_pay_within_a_minute():
-    choice = sinsjax.plan_turns(**LASER, latitude_deg=45.0, duration_s=60.0)
+    choice = plan(LASER, 60.0)
     assert not choice.pays
     assert choice.best.motion == {}
 
@@ -76,11 +61,10 @@ def test_turns_that_do_not_fit_are_left_out():
 @pytest.mark.nightly(fast=("45.0",))
 @pytest.mark.parametrize("duration_s", [45.0, 123.4, 300.0])
 def test_study_with_motion_of_option_has_its_bound(duration_s):
-    choice = sinsjax.plan_turns(**FOG, **WITH_SCALE, latitude_deg=45.0, duration_s=duration_s)
-    drawn = (*FOG, *WITH_SCALE)
-    laws = {key: {"normal": [0.0, (FOG | WITH_SCALE)[key]]} for key in drawn if "rw" not in key}
+    sensors = FOG | WITH_SCALE
+    laws = {key: {"normal": [0.0, sensors[key]]} for key in sensors if "rw" not in key}
     noise = {key: FOG[key] for key in FOG if "rw" in key}
-    for option in choice.options:
+    for option in plan(sensors, duration_s).options:
         study = sinsjax.study_from_dict(
             {
                 "study": {"duration_s": duration_s, "rate_hz": 20.0, "record_interval_s": 0.1},
@@ -110,6 +94,5 @@ def test_drifts_raise_every_option():
     ],
 )
 def test_meaningless_numbers_are_refused(changes, message):
-    given = {"latitude_deg": 45.0, "duration_s": 60.0} | MEMS | changes
     with pytest.raises(InputError, match=message):
-        sinsjax.plan_turns(**given)
+        plan(MEMS, **{"duration_s": 60.0} | changes)
