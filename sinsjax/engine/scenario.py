@@ -26,10 +26,8 @@ from sinsjax.engine.inputs import (
     aligned_record,
 )
 from sinsjax.engine.metrics import Criteria
-from sinsjax.engine.success import SuccessLimits
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import euler_vector
-from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.floors import NO_BIASES, mean_biases
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
@@ -44,11 +42,10 @@ from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study import sampling
-from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS, SECTION_OF
+from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.schema import (
-    BIAS_KEYS,
     TURN_KEYS,
     EarthSection,
     MotionSection,
@@ -56,7 +53,7 @@ from sinsjax.study.schema import (
     keys_acting_as,
 )
 from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
-from sinsjax.study.success import settling_bands, success_criteria
+from sinsjax.study.success import settling_bands
 from sinsjax.study.turns import turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Quat, Vec3
@@ -81,15 +78,7 @@ depend on it by gravity and radius alone, 0.3 % on an ellipsoid."""
 StudySource: TypeAlias = Study | str | Path
 """A study, its file, or the name of a shipped study."""
 
-LEAST_PERIODS = 10
-"""Sway periods since the last reset that are needed to average a bias."""
-
-MOST_SHARED = 5 * ARCMIN
-"""Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
-
-_ANGLES = ("pitch", "roll", "yaw")
 _NEVER_S = 1e12  # beginning of a turn after every run
-_MOST_EXAMINED = 4096  # runs of which a missing floor is looked for, beyond a draw of each variant
 
 
 class Place(NamedTuple):
@@ -129,9 +118,8 @@ class Scenario:
             curves: whether curves are returned; None for what the study asks.
 
         Raises:
-            InputError: a record is missing or not needed, compass loops cannot be run, runs without
-                a bias floor are to be judged from it, or double precision cannot be enabled
-                (`runtime.ensure_configured`).
+            InputError: a record is missing or not needed, compass loops cannot be run, or double
+                precision cannot be enabled (`runtime.ensure_configured`).
         """
         runtime.ensure_configured()
         study = study if isinstance(study, Study) else load_study(study)
@@ -140,7 +128,6 @@ class Scenario:
         if study.is_recorded != (stored is not None):
             text = "reads a record, none is given" if study.is_recorded else "reads no record"
             raise InputError(f"{study.name}: the study {text}: see [record]")
-        _require_floor(study)
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))
@@ -274,6 +261,11 @@ def _coarse_stage(study: Study, keys: Variants) -> CoarseStage | None:
 
 
 # What runs share, and their draws
+
+
+def earth_rate(model: str, rate_deg_per_h: float | None) -> float:
+    """Return the rate of an Earth model by its name in a study, rad/s."""
+    return earth.WGS84_RATE if model == "wgs84" else (rate_deg_per_h or 0.0) * DEG_PER_H
 
 
 def read_site(study: Study, keys: Variants, stored: StoredRecord | None) -> tuple[Site, float]:
@@ -627,138 +619,3 @@ def _rotation_vectors(starts: CodedColumn) -> Vec3:
 @jax.jit
 def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
     return jax.vmap(euler_vector)(e, n, u)
-
-
-# How runs are judged
-
-
-def success_limits(study: Study) -> SuccessLimits:
-    """Return the limits of a study's successful runs."""
-    criteria = success_criteria(study)
-    return SuccessLimits(
-        from_truth=criteria.from_truth,
-        band=settling_bands(study).index(criteria.band_arcmin),
-        level_band=criteria.level_band_arcmin * ARCMIN,
-        diverged=criteria.diverged_deg * DEG,
-        dwell_s=criteria.dwell,
-    )
-
-
-def last_scheduled_reset_s(study: Study) -> np.ndarray:
-    """Return the time of the last reset of each variant's schedule, (variants,), s; 0 for none."""
-    if not study.has("resets"):
-        return np.zeros(study.n_variants)
-    values = study.resolved.column(*RESET_KEYS)
-    return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
-
-
-def has_floor(
-    study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
-) -> np.ndarray:
-    """Return whether runs have the bias floor of `methods.floors`, (runs,) bool.
-
-    Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
-    record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
-    once the base moves. On a still base it cannot, and has the bias floor of a filter without them
-    if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
-    methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
-    reference is their floor, all have one.
-
-    Args:
-        study: checked study.
-        draw_ids: (runs,).
-        variant_ids: (runs,).
-        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
-    """
-    if study.is_recorded:
-        return np.ones(len(variant_ids), bool)
-    first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
-    drawn = sampling.drawn_values(study, last + 1 - first, first=first)
-    keys = Variants(study, variant_ids)
-
-    def number(key: str) -> np.ndarray:
-        return drawn[key][draw_ids - first] if key in drawn else keys.column(key)
-
-    def is_biased(key: str) -> np.ndarray:
-        if key in drawn:
-            return drawn[key][draw_ids - first].any(-1)
-        return keys.compute(np.any, key, dtype=bool)
-
-    codes, spans = study.lengths
-    intervals = np.array([(span.records, span.pass_records) for span in spans])
-    length, pass_s = (intervals[codes[variant_ids]] * study.record_every / study.rate_hz).T
-    averaged_over_s = np.minimum(length - last_reset_s, pass_s) * (1 + 1e-9)
-    moves = np.stack([number(f"{angle}_amplitude_deg") for angle in _ANGLES]) != 0
-    periods_s = np.stack([number(f"{angle}_period_s") for angle in _ANGLES])
-    slow = (moves & (LEAST_PERIODS * periods_s > averaged_over_s)).any(0)
-    floors = ~(np.logical_or(*map(is_biased, BIAS_KEYS)) & slow)
-    names = keys.compute(lambda name: name, "method", dtype=object)
-    rate_n = keys.compute(earth_rate, "earth", "earth_rate_deg_per_h")
-    rate_n = rate_n * np.cos(number("latitude_deg") * DEG)
-    for name in study.methods:
-        if pairs := METHODS[name].gyro_bias_keys:
-            given = [pair for pair in pairs if study.has(SECTION_OF[pair[0]])]
-            sigmas = [(number(bias), number(yaw)) for bias, yaw in given]
-            shared = _sigma_shared_with_bias(rate_n, sigmas)
-            floors = np.where(names == name, ~moves.any(0) & (shared <= MOST_SHARED), floors)
-        floors &= METHODS[name].has_floor | (names != name)
-    turns = "turn_times_s", "attitude_file"
-    return floors & ~keys.compute(lambda *given: any(given), *turns, dtype=bool)
-
-
-def _sigma_shared_with_bias(
-    rate_n: np.ndarray, sigmas: list[tuple[np.ndarray, np.ndarray]]
-) -> np.ndarray:
-    """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
-
-    Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
-    splits by their variances.
-
-    Args:
-        rate_n: omega_N, rad/s.
-        sigmas: of gyro bias, deg/h, and heading, deg: at the start, then at a reset; where NaN, a
-            reset sets P as at the start.
-    """
-    most = np.zeros(len(rate_n))
-    for at_reset in sigmas:
-        pairs = zip(at_reset, sigmas[0], strict=True)
-        bias, yaw = (np.where(np.isnan(a), start, a) for a, start in pairs)
-        ratio = (bias * DEG_PER_H / (rate_n * yaw * DEG)) ** 2
-        most = np.maximum(most, yaw * DEG * ratio / (1 + ratio))
-    return most
-
-
-def earth_rate(model: str, rate_deg_per_h: float | None) -> float:
-    """Return the rate of an Earth model by its name in a study, rad/s."""
-    return earth.WGS84_RATE if model == "wgs84" else (rate_deg_per_h or 0.0) * DEG_PER_H
-
-
-def _require_floor(study: Study) -> None:
-    """Refuse a study that is judged from a bias floor if some run has none.
-
-    The resets of a trigger are not known yet; draws that differ are examined if they are few.
-
-    Raises:
-        InputError: names the method.
-    """
-    if success_criteria(study).from_truth or study.is_recorded:
-        return
-    draws = np.arange(min(study.n_draws, 1 + _MOST_EXAMINED // study.n_variants))
-    variants = np.tile(np.arange(study.n_variants), len(draws))
-    last_s = last_scheduled_reset_s(study)[variants]
-    floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
-    if floors.all():
-        return
-    variant = int(variants[~floors][0])
-    method = study.values("method")[variant]
-    why = "has no bias floor on this base"
-    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
-        why = "has no bias floor on a base that is turned"
-    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
-        why = (
-            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
-        )
-    raise InputError(
-        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
-        f" {why} (variant {variant}; use 'truth')"
-    )

@@ -10,14 +10,16 @@ from sinsjax import columns
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.scenario import (
+from sinsjax.engine.scenario import start_samples
+from sinsjax.execution import schemas
+from sinsjax.execution.success import (
+    FLOOR,
+    TRUTH,
+    RunSuccess,
+    evaluate_success,
     has_floor,
     last_scheduled_reset_s,
-    start_samples,
-    success_limits,
 )
-from sinsjax.engine.success import FLOOR, TRUTH, RunSuccess, evaluate_success
-from sinsjax.execution import schemas
 from sinsjax.methods.filters.keys import last_triggered_sample
 from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
@@ -42,7 +44,6 @@ class TableBuilder:
         self._study = study
         self._has_truth = has_truth
         self._bands = settling_bands(study)
-        self._limits = success_limits(study)
         self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = last_scheduled_reset_s(study)
         self.summary_columns = schemas.summary_columns(study)
@@ -86,7 +87,7 @@ class TableBuilder:
             values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)
         values |= self._angle_columns(outcome.last)
         verdict = evaluate_success(
-            self._limits,
+            self._study,
             outcome,
             self._floor_flags(chunk, variant),
             self._end_s[variant],

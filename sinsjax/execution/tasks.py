@@ -27,6 +27,7 @@ from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.outputs import RunOutput
+from sinsjax.execution.success import require_floor
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
@@ -156,8 +157,10 @@ class TaskRunner:
         """Check a job by making its first batch.
 
         Raises:
-            InputError: the record does not fit, or the study cannot be run.
+            InputError: the record does not fit, the study cannot be run, or runs without a bias
+                floor are to be judged from it.
         """
+        require_floor(job.study)
         self.job = job
         self.scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._output = RunOutput(self.scenario)

@@ -12,7 +12,7 @@ from scipy import special
 
 from sinsjax import analysis, columns
 from sinsjax.engine.metrics import Criteria, Outcome, outside
-from sinsjax.engine.success import FLOOR, TRUTH
+from sinsjax.execution.success import FLOOR, TRUTH
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria

@@ -12,8 +12,8 @@ from support.batches import batch_of
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import run
-from sinsjax.engine.scenario import has_floor
 from sinsjax.execution.hidden_north import hidden_north
+from sinsjax.execution.success import has_floor
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
 from sinsjax.study.load import study_from_dict

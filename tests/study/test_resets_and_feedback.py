@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from support.refusals import refused
 from support.studies import refusal_line, small_study
 
-from sinsjax.engine.scenario import Scenario, last_scheduled_reset_s
+from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import run as study_run
+from sinsjax.execution.success import last_scheduled_reset_s
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml
@@ -51,7 +52,7 @@ def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
         tables = {"alignment": {"feedback_interval_s": 0.35}}
         study = small_study(**tables, resets={"reset_times_s": times} | resets)
         group = Scenario(study, curves=False).batch(0, range(1))
-        return [np.asarray(leaf) for leaf in jax.tree.leaves(group.variants)]
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(group.params)]
 
     first, second = params([1.05, 1.75]), params([1.05, 2.1])
     assert any((one != other).any() for one, other in zip(first, second, strict=True))

@@ -1,0 +1,223 @@
+"""Success of runs: which have a bias floor, settling times about it and the truth, and a status."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from sinsjax.engine.metrics import Outcome
+from sinsjax.engine.scenario import earth_rate
+from sinsjax.errors import InputError
+from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
+from sinsjax.methods.registry import METHODS
+from sinsjax.study import sampling
+from sinsjax.study.keys import SECTION_OF
+from sinsjax.study.schema import BIAS_KEYS
+from sinsjax.study.study import Study
+from sinsjax.study.success import SuccessCriteria, settling_bands, success_criteria
+from sinsjax.study.variants import Variants
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H
+
+FLOOR, TRUTH = 0, 1
+"""Rows of results that are judged from the bias floor and from the truth."""
+
+LEAST_PERIODS = 10
+"""Sway periods since the last reset that are needed to average a bias."""
+
+MOST_SHARED = 5 * ARCMIN
+"""Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
+
+_ANGLES = ("pitch", "roll", "yaw")
+_MOST_EXAMINED = 4096  # runs of which a missing floor is looked for, beyond a draw of each variant
+
+
+class RunSuccess(NamedTuple):
+    """Success of some runs.
+
+    Attributes:
+        has_floor: (runs,) whether the run has a bias floor.
+        settled_s: (2, bands, runs) settling times about the bias floor and about the truth, s; NaN
+            if the last record is still outside, or there is no bias floor.
+        ok: (2, runs) whether the run is a success, judged from either.
+        status: (runs,) of `columns.STATUSES`, None if it cannot be judged.
+    """
+
+    has_floor: NDArray
+    settled_s: NDArray
+    ok: NDArray
+    status: pa.Array
+
+
+def evaluate_success(
+    study: Study,
+    outcome: Outcome,
+    floors: NDArray,
+    end_s: NDArray,
+    *,
+    has_truth: bool = True,
+    finds_heading: bool = True,
+) -> RunSuccess:
+    """Return the success of some runs.
+
+    Args:
+        study: with the criteria of a success.
+        outcome: of the engine, leaves (runs, ...).
+        floors: (runs,) whether a run has a bias floor.
+        end_s: (runs,) lengths, s.
+        has_truth: whether there is a truth; without one only non-finite runs are known.
+        finds_heading: whether their method finds a heading; otherwise none is a success.
+    """
+    criteria = success_criteria(study)
+    outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
+    settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
+    settled_s[FLOOR, :, ~floors] = np.nan
+    no_north = (floors & np.asarray(outcome.floor.no_north)) | (not finds_heading)
+    latest_s = (end_s - criteria.dwell(end_s)) * (1 + 1e-12)
+    in_band = settled_s[:, settling_bands(study).index(criteria.band_arcmin)] <= latest_s
+    ok = in_band & _is_level(criteria, outcome) & ~no_north
+    # Of several reasons the first one listed counts.
+    last = outcome.last
+    angles = (last.pitch, last.roll, last.yaw) if finds_heading else (last.pitch, last.roll)
+    broken = ~np.isfinite(np.stack(angles)).all(axis=0)
+    if not has_truth:
+        status = ["nonfinite" if b else None for b in broken]
+        return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
+    error = np.asarray(last.phi.z) - np.where(floors, outcome.floor.phi.z, 0.0)
+    kinds = {
+        "nonfinite": broken,
+        "no_north": no_north,
+        None: ~floors & (not criteria.from_truth),
+        "ok": ok[TRUTH if criteria.from_truth else FLOOR],
+        "diverged": np.abs(error) > criteria.diverged_deg * DEG,
+    }
+    kind = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))
+    status = np.array([*kinds, "not_settled"], dtype=object)[kind]
+    return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
+
+
+def _is_level(criteria: SuccessCriteria, outcome: Outcome) -> NDArray:
+    """Return whether both level errors end in their band about floor and truth, (2, runs)."""
+    floor, band = outcome.floor, criteria.level_band_arcmin * ARCMIN
+    phi, at_floor = (np.stack([vector.x, vector.y]) for vector in (outcome.last.phi, floor.phi))
+    from_floor = np.abs(phi - at_floor).max(axis=0) <= band
+    from_truth = np.abs(phi).max(axis=0) <= band + np.asarray(floor.tilt)
+    return np.stack([from_floor, from_truth])
+
+
+# Bias floors
+
+
+def last_scheduled_reset_s(study: Study) -> np.ndarray:
+    """Return the time of the last reset of each variant's schedule, (variants,), s; 0 for none."""
+    if not study.has("resets"):
+        return np.zeros(study.n_variants)
+    values = study.resolved.column(*RESET_KEYS)
+    return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
+
+
+def has_floor(
+    study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
+) -> np.ndarray:
+    """Return whether runs have the bias floor of `methods.floors`, (runs,) bool.
+
+    Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
+    record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
+    once the base moves. On a still base it cannot, and has the bias floor of a filter without them
+    if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
+    methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
+    reference is their floor, all have one.
+
+    Args:
+        study: checked study.
+        draw_ids: (runs,).
+        variant_ids: (runs,).
+        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
+    """
+    if study.is_recorded:
+        return np.ones(len(variant_ids), bool)
+    first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
+    drawn = sampling.drawn_values(study, last + 1 - first, first=first)
+    keys = Variants(study, variant_ids)
+
+    def number(key: str) -> np.ndarray:
+        return drawn[key][draw_ids - first] if key in drawn else keys.column(key)
+
+    def is_biased(key: str) -> np.ndarray:
+        if key in drawn:
+            return drawn[key][draw_ids - first].any(-1)
+        return keys.compute(np.any, key, dtype=bool)
+
+    codes, spans = study.lengths
+    intervals = np.array([(span.records, span.pass_records) for span in spans])
+    length, pass_s = (intervals[codes[variant_ids]] * study.record_every / study.rate_hz).T
+    averaged_over_s = np.minimum(length - last_reset_s, pass_s) * (1 + 1e-9)
+    moves = np.stack([number(f"{angle}_amplitude_deg") for angle in _ANGLES]) != 0
+    periods_s = np.stack([number(f"{angle}_period_s") for angle in _ANGLES])
+    slow = (moves & (LEAST_PERIODS * periods_s > averaged_over_s)).any(0)
+    floors = ~(np.logical_or(*map(is_biased, BIAS_KEYS)) & slow)
+    names = keys.compute(lambda name: name, "method", dtype=object)
+    rate_n = keys.compute(earth_rate, "earth", "earth_rate_deg_per_h")
+    rate_n = rate_n * np.cos(number("latitude_deg") * DEG)
+    for name in study.methods:
+        if pairs := METHODS[name].gyro_bias_keys:
+            given = [pair for pair in pairs if study.has(SECTION_OF[pair[0]])]
+            sigmas = [(number(bias), number(yaw)) for bias, yaw in given]
+            shared = _sigma_shared_with_bias(rate_n, sigmas)
+            floors = np.where(names == name, ~moves.any(0) & (shared <= MOST_SHARED), floors)
+        floors &= METHODS[name].has_floor | (names != name)
+    turns = "turn_times_s", "attitude_file"
+    return floors & ~keys.compute(lambda *given: any(given), *turns, dtype=bool)
+
+
+def _sigma_shared_with_bias(
+    rate_n: np.ndarray, sigmas: list[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
+
+    Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
+    splits by their variances.
+
+    Args:
+        rate_n: omega_N, rad/s.
+        sigmas: of gyro bias, deg/h, and heading, deg: at the start, then at a reset; where NaN, a
+            reset sets P as at the start.
+    """
+    most = np.zeros(len(rate_n))
+    for at_reset in sigmas:
+        pairs = zip(at_reset, sigmas[0], strict=True)
+        bias, yaw = (np.where(np.isnan(a), start, a) for a, start in pairs)
+        ratio = (bias * DEG_PER_H / (rate_n * yaw * DEG)) ** 2
+        most = np.maximum(most, yaw * DEG * ratio / (1 + ratio))
+    return most
+
+
+def require_floor(study: Study) -> None:
+    """Refuse a study that is judged from a bias floor if some run has none.
+
+    The resets of a trigger are not known yet; draws that differ are examined if they are few.
+
+    Raises:
+        InputError: names the method.
+    """
+    if success_criteria(study).from_truth or study.is_recorded:
+        return
+    draws = np.arange(min(study.n_draws, 1 + _MOST_EXAMINED // study.n_variants))
+    variants = np.tile(np.arange(study.n_variants), len(draws))
+    last_s = last_scheduled_reset_s(study)[variants]
+    floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
+    if floors.all():
+        return
+    variant = int(variants[~floors][0])
+    method = study.values("method")[variant]
+    why = "has no bias floor on this base"
+    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
+        why = "has no bias floor on a base that is turned"
+    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
+        why = (
+            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
+        )
+    raise InputError(
+        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
+        f" {why} (variant {variant}; use 'truth')"
+    )
