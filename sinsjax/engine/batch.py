@@ -290,10 +290,20 @@ def target_devices() -> list[jax.Device | None]:
 
 
 class LazyProgram:
-    """A program that is traced when made, and compiled once for all threads when first wanted."""
+    """A program that is traced when made, and compiled once for all threads when first wanted.
 
-    def __init__(self, lowered: jax.stages.Lowered) -> None:
-        self._lowered: jax.stages.Lowered | None = lowered
+    It is the same for all arguments of some shapes, whatever their values.
+    """
+
+    def __init__(
+        self, spec: ProgramSpec, curve_lanes: int | None, structure: Any, shapes: tuple
+    ) -> None:
+        def run_tiles(environment: Environment, tiles: Tiles) -> Any:
+            one = partial(run_tile, spec, environment, curve_lanes=curve_lanes)
+            return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
+
+        arguments = jax.tree.unflatten(structure, shapes)
+        self._lowered: jax.stages.Lowered | None = jax.jit(run_tiles).lower(*arguments)
         self._compiled: jax.stages.Compiled | None = None
         self._lock = threading.Lock()
 
@@ -306,29 +316,17 @@ class LazyProgram:
             return self._compiled
 
 
-def trace_program(batch: Batch, layout: Layout, device: jax.Device | None = None) -> LazyProgram:
-    """Return the program of a batch's chunks on a device, None for the default one.
+_traced = lru_cache(maxsize=MOST_PROGRAMS)(LazyProgram)
 
-    It is the same for all arguments of these shapes, whatever their values.
-    """
+
+def trace_program(batch: Batch, layout: Layout, device: jax.Device | None = None) -> LazyProgram:
+    """Return the program of a batch's chunks on a device, None for the default one."""
     leaves, structure = jax.tree.flatten((batch.environment, layout.tiles_of(batch, 0)))
     home = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
     )
-    curve_lanes = layout.curve_lanes if batch.spec.curves else None
-    return _trace(batch.spec, curve_lanes, structure, shapes)
-
-
-@lru_cache(maxsize=MOST_PROGRAMS)
-def _trace(
-    spec: ProgramSpec, curve_lanes: int | None, structure: Any, shapes: tuple
-) -> LazyProgram:
-    def run_tiles(environment: Environment, tiles: Tiles) -> Any:
-        one = partial(run_tile, spec, environment, curve_lanes=curve_lanes)
-        return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
-
-    return LazyProgram(jax.jit(run_tiles).lower(*jax.tree.unflatten(structure, shapes)))
+    return _traced(batch.spec, layout.curve_lanes if batch.spec.curves else None, structure, shapes)
 
 
 class Chunks:

@@ -125,13 +125,9 @@ class Outcome(NamedTuple):
 def observe(
     q_true: Quat, q_hat: Quat, covariance: AttitudeCovariance, *, finds_heading: bool = True
 ) -> Observation:
-    """Return the observation of a corrected attitude against the truth.
+    """Return the observation of a corrected attitude against the truth, NaN if unknown.
 
-    Args:
-        q_true: true or reference attitude, NaN if unknown.
-        q_hat: corrected attitude.
-        covariance: of its misalignment.
-        finds_heading: whether its heading is found; otherwise any heading gives the same.
+    The covariance is that of its misalignment. If no heading is found, any gives the same.
     """
     sigma = Vec3(*(jnp.sqrt(v) for v in (covariance.ee, covariance.nn, covariance.uu)))
     pitch, roll, yaw = to_euler(q_hat)
@@ -168,15 +164,7 @@ def start(criteria: Criteria, zero: Scalar) -> Metrics:
 def accumulate(
     metrics: Metrics, criteria: Criteria, now: Observation, *, floor: Scalar, time: Scalar
 ) -> Metrics:
-    """Return the accumulators after one more observation.
-
-    Args:
-        metrics: so far.
-        criteria: of the study.
-        now: the observation.
-        floor: bias floor of phi_u, rad.
-        time: of the observation, s.
-    """
+    """Return the accumulators after one more observation at a time, s; floor of phi_u in rad."""
     error = now.phi.z - floor
     variance = now.sigma.z**2
     # A comparison with NaN is False, which would count as an error above P.
@@ -205,14 +193,7 @@ def accumulate(
 def store_reported_times(
     metrics: Metrics, criteria: Criteria, covariance: AttitudeCovariance, n: Scalar
 ) -> Metrics:
-    """Store the latest observation if its time is one of those reported.
-
-    Args:
-        metrics: with the observation included.
-        criteria: of the study.
-        covariance: at the observation.
-        n: number of its sample.
-    """
+    """Store the latest observation, that of sample n, if its time is one of those reported."""
     if criteria.report_samples is None:
         return metrics
     phi, sigma = metrics.last.phi, metrics.last.sigma
@@ -260,10 +241,7 @@ def _wrap(angle: Array) -> Array:
 
 
 def finish(
-    metrics: Metrics,
-    covariance: AttitudeCovariance,
-    floor: BiasFloor,
-    results: Any = None,
+    metrics: Metrics, covariance: AttitudeCovariance, floor: BiasFloor, results: Any = None
 ) -> Outcome:
     """Return the outcome of a run.
 

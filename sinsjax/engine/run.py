@@ -194,11 +194,7 @@ class RunFunctions(NamedTuple):
     ) -> Any:
         """Return the state of the method after the coarse stage: at rest, with P0.
 
-        Args:
-            params: of the run.
-            site: Earth and place.
-            q: attitude at the end of the coarse stage.
-            rotation: of the body over that stage; None without a replay.
+        The attitude is that at the end of the stage, the rotation that of the body over it.
         """
         coarse, zero = self.spec.coarse, jnp.zeros_like(params.ve)
         assert coarse is not None
@@ -229,13 +225,9 @@ class RunFunctions(NamedTuple):
         return reading.rewind(params.method, initial_solution(site, q, zero, zero), state)
 
     def observe(self, run: Run, q_true: Quat, floor: Scalar, n: Scalar) -> Run:
-        """Return the run after its observation at an output time.
+        """Return the run after its observation at an output time, that of the n-th sample.
 
-        Args:
-            run: at that time.
-            q_true: true or reference attitude, NaN if unknown.
-            floor: bias floor of phi_u, rad.
-            n: number of its last sample, from 1.
+        The true or reference attitude is NaN if unknown, the floor that of phi_u, rad.
         """
         state, criteria = self.method.normalise(run.state), self.environment.criteria
         attitude, covariance = self.method.attitude(state), self.covariance(state)
@@ -425,10 +417,7 @@ class TileRuns(NamedTuple):
     def observe(self, run: Run, interval: Intervals, turn: Quat | None = None) -> Run:
         """Return the runs after their observation at the end of an interval.
 
-        Args:
-            run: at that time.
-            interval: that ends.
-            turn: rotations from the draws' housings to their bases; None without.
+        The rotations ``turn`` are those from the draws' housings to their bases.
         """
         number, q_true = interval
         run = run._replace(state=self.fit_blocks(run.state, number))
@@ -533,13 +522,7 @@ def broadcast_to_runs(row: Array, tree: Any) -> Any:
 def map_stacked_tiles(
     spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles
 ) -> Callable[[Tiles], Any]:
-    """Return the function of one tile, mapped over the sets of stacked tiles if there are such.
-
-    Args:
-        spec: program.
-        run: function of a tile.
-        tiles: that it will be applied to, one after the other.
-    """
+    """Return a function of one tile, mapped over the sets of stacked tiles if there are such."""
     if not spec.shares_covariance:
         return run
     # Only what belongs to draws differs between the sets.

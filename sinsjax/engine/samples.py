@@ -196,12 +196,8 @@ class TileSensors(NamedTuple):
     def make_sampler(self, samples: Array) -> Callable[[SensorState, Array], Measured]:
         """Return the function that measures some of the given samples for all draws.
 
-        Args:
-            samples: numbers of samples in the record.
-
-        Returns:
-            (state before n samples, (n,) their places in ``samples``) -> measured increments with
-            leaves (n, draws), and the state after them.
+        It takes the state before n samples and their places among the given ones, and returns
+        measured increments with leaves (n, draws), and the state after them.
         """
         shared = self._integrate_shared_motion(samples)
 

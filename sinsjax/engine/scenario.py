@@ -81,18 +81,6 @@ StudySource: TypeAlias = Study | str | Path
 _NEVER_S = 1e12  # beginning of a turn after every run
 
 
-class Place(NamedTuple):
-    """Where a run is in its scenario.
-
-    Attributes:
-        program: number of its program.
-        variant: place of its variant among those of the program.
-    """
-
-    program: int
-    variant: int
-
-
 class Scenario:
     """A study ready to be run: the runs of its programs, each made on demand.
 
@@ -142,15 +130,15 @@ class Scenario:
         site, micro_g = read_site(self.study, Variants(self.study, ids), self.stored)
         return Variants(self.study, ids, site=site, micro_g=micro_g)
 
-    def find(self, variant_id: int) -> Place:
-        """Return the place of a variant.
+    def find(self, variant_id: int) -> tuple[int, int]:
+        """Return the number of a variant's program, and its place among the program's variants.
 
         Raises:
             InputError: the study has no such variant.
         """
         for number, ids in enumerate(self.variant_ids):
             if len(found := np.flatnonzero(ids == variant_id)):
-                return Place(number, int(found[0]))
+                return number, int(found[0])
         text = f"has no variant {variant_id}, of {self.study.n_variants}"
         raise InputError(f"{self.study.name}: {text}")
 

@@ -52,18 +52,10 @@ class Blocks(NamedTuple):
 def take_samples(
     steps: Steps, state: Any, sensor_state: Any, blocks: Blocks, *, by_event: bool = True
 ) -> tuple[Any, Any]:
-    """Take all samples of an interval.
+    """Return the states of runs and sensors after all samples of an interval.
 
-    Args:
-        steps: effect of the samples.
-        state: of the runs.
-        sensor_state: of the sensors.
-        blocks: the samples.
-        by_event: whether loops are closed at events only; else after every sample, by a scan of
-            static length, which has derivatives of both modes.
-
-    Returns:
-        Both states after the interval.
+    Loops are closed at events only, or else after every sample, by a scan of static length, which
+    has derivatives of both modes.
     """
     next_event = steps.next_event and steps.next_event(state, jnp.asarray(0))
     if by_event and next_event is not None:

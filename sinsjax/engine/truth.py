@@ -20,11 +20,8 @@ _SAMPLES, _TIMES = 4000, 256
 def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
     """Return coarsely aligned attitudes at the ends of parts of a record, (parts, 4).
 
-    Args:
-        method: "analytic", or name of a method that needs no initial attitude.
-        rows: (parts, n, 6) measured increments, rad and m/s.
-        dt: sample time, s.
-        site: Earth and place.
+    The method is "analytic", or one that needs no initial attitude; the rows (parts, n, 6) are
+    measured increments over ``dt`` s, rad and m/s.
     """
 
     def align(part: Array) -> Array:
@@ -56,13 +53,7 @@ def true_increments(
 ) -> np.ndarray:
     """Return ideal increments, rad and m/s: (samples, 6), or with the axes of n (samples, 15).
 
-    Args:
-        motion: of the base.
-        place: Earth rates and gravity.
-        rate_hz: sample rate, Hz.
-        samples: number of samples.
-        axes: whether the axes of n in b, means over each sample, are included.
-        blank: whether all are zero, enough to compile for them.
+    The axes of n in b are means over each sample. If blank, all are zero, enough to compile.
     """
     increments = np.zeros((samples, 15 if axes else 6))
     integrate = _increments_and_axes if axes else _increments

@@ -65,7 +65,7 @@ def set_optimisation_level(item: pytest.Item) -> None:
 
 def drop_programs() -> None:
     """Forget every program of this process; the cache on disk has those that took long."""
-    batch._trace.cache_clear()
+    batch._traced.cache_clear()
     jax.clear_caches()
 
 
