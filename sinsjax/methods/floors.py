@@ -51,10 +51,6 @@ class BiasFloor(NamedTuple):
 NO_BIASES = MeanBiases(*(Vec3(*(np.float64(0.0),) * 3),) * 2, np.float64(0.0))
 
 _PHASES = 2 * np.pi * np.arange(64) / 64  # exact to rounding for three amplitudes of 360 deg
-_MODES = np.stack(np.meshgrid(*[np.array([-1.0, 0.0, 1.0])] * 3, indexing="ij"))
-"""Signs s with which each angle enters the modes, (3 angles, 3, 3, 3)."""
-_FROM_MODES = np.array([[0, 1, 0], [0.5, 0, 0.5], [0.5j, 0, -0.5j]])
-"""1, cosine and sine of an angle x from exp(i s x)."""
 
 
 def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
@@ -81,18 +77,21 @@ def mean_attitude(motion: Motion) -> Array:
     # Angles of one period share the phase of the first that has it.
     phase_of_third = xp.where(third == first, 0, xp.where(third == second, 1, 2))
     phase_of = (xp.asarray(0), xp.where(second == first, 0, 1), phase_of_third)
-    angles = [*zip(_MODES, motion.angles, phase_of, strict=True)]
-    modes: Any = 1.0
+    swings = []  # 1, cosine and sine of each angle about its center, (..., 3, nodes)
+    for sway in motion.angles:
+        swing = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
+        swings.append(xp.stack([xp.ones_like(swing), xp.cos(swing), xp.sin(swing)], -2))
+    mean: Any = 1.0  # of their products, (..., 3, 3, 3)
     for phase in range(3):
-        swing: Any = 0.0
-        for signs, sway, number in angles:
-            angle = sway.amplitude[..., None] * xp.sin(_PHASES + sway.phase[..., None])
-            angle = xp.where((number == phase)[..., None], angle, 0.0)
-            swing = swing + signs[..., None] * angle[..., None, None, None, :]
-        modes = modes * xp.exp(1j * swing.astype(complex)).mean(-1)
-    center = sum(signs * sway.center[..., None, None, None] for signs, sway, _ in angles)
-    modes = modes * xp.exp(1j * center.astype(complex))
-    mean = xp.einsum("pa,rb,yc,...abc->...pry", *[_FROM_MODES] * 3, modes).real
+        pitch, roll, yaw = (
+            xp.where((number == phase)[..., None, None], swing, 1.0)
+            for number, swing in zip(phase_of, swings, strict=True)
+        )
+        pitch_roll = pitch[..., :, None, :] * roll[..., None, :, :]
+        mean = mean * (pitch_roll[..., None, :] * yaw[..., None, None, :, :]).mean(-1)
+    # About the centers last: the attitude of a still base has no sum of equal numbers.
+    turns = [_add_angle(xp, sway.center) for sway in motion.angles]
+    mean = xp.einsum("...pa,...rb,...yc,...abc->...pry", *turns, mean)
     one, cos, sin = range(3)  # of pitch, roll and yaw
     rows = [
         mean[..., one, cos, cos] - mean[..., sin, sin, sin],
@@ -106,6 +105,13 @@ def mean_attitude(motion: Motion) -> Array:
         mean[..., cos, cos, one],
     ]
     return xp.stack(rows, -1).reshape(*mean.shape[:-3], 3, 3)
+
+
+def _add_angle(xp: Any, angle: Any) -> Any:
+    """Return the matrix that takes 1, cos x and sin x to those of x + angle, (..., 3, 3)."""
+    one, cos, sin = xp.ones_like(angle), xp.cos(angle), xp.sin(angle)
+    rows = [one, 0 * one, 0 * one, 0 * one, cos, -sin, 0 * one, sin, cos]
+    return xp.stack(rows, -1).reshape(*angle.shape, 3, 3)
 
 
 def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasFloor:
