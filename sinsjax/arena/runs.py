@@ -16,6 +16,7 @@ from sinsjax.engine.batch import Batch
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
+from sinsjax.execution.success import require_floor
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import register_external
 from sinsjax.study.keys import TomlTable, is_condition_key
@@ -98,6 +99,7 @@ class ProgramRuns:
     @cached_property
     def scenario(self) -> Scenario:
         """That study, ready for its runs to be judged."""
+        require_floor(self.study)
         return Scenario(self.study, curves=False)
 
     @cached_property

@@ -22,6 +22,7 @@ from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
+from sinsjax.execution.success import require_floor
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_without_gradient
 from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
@@ -272,6 +273,7 @@ class Slope:
         self._starts = starts
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
+        require_floor(derived)
         scenario = Scenario(derived, stored, curves=False)
         numbers = range(len(scenario.specs))
         batches = [scenario.batch(number) for number in numbers]

@@ -6,7 +6,7 @@ from support.refusals import refused
 from support.studies import STILL, refusal_line, small_study
 
 from sinsjax.arena.simulated_record import simulated_record
-from sinsjax.engine.scenario import Scenario, read_motion
+from sinsjax.engine.scenario import read_motion
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.checks import study_warnings
@@ -76,7 +76,7 @@ def test_turns_are_refused_in_one_line(refusal):
 def test_floor_of_turned_base_is_refused():
     study = small_study(study={"judged_from": "floor"}, motion=STILL | FAST)
     with pytest.raises(InputError, match="no bias floor") as caught:
-        Scenario(study)
+        run.run(study)
     assert len(caught.value.lines) == 1
 
 
