@@ -265,12 +265,7 @@ def map_draws(
 ) -> Any:
     """Map a function over draws, whose leaves are (draws,), or () of what all of them share.
 
-    Args:
-        function: of one draw, and of others.
-        draws: to map over.
-        others: further arguments.
-        axes: axis of the draws in each of ``others``; None for 0 in all of them.
-        out_axes: axis of the draws in what is returned.
+    Draws are the first axis of all others, or the ``axes`` of each.
     """
     leaves = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     in_axes = (leaves, *((0,) * len(others) if axes is None else axes))

@@ -74,6 +74,13 @@ class TileState(NamedTuple):
     sensors: SensorState
 
 
+class TileResults(NamedTuple):
+    """Outcomes of a tile, leaves (lanes, ...), and its observations, leaves (intervals, lanes)."""
+
+    outcome: Outcome
+    curves: Observation | None
+
+
 def run_tile(
     spec: ProgramSpec,
     environment: Environment,
@@ -81,7 +88,7 @@ def run_tile(
     curve_lanes: int | None = None,
     *,
     by_event: bool = True,
-) -> tuple[Outcome, Observation | None]:
+) -> TileResults:
     """Run all runs of a tile, from the first sample to the outcome.
 
     Args:
@@ -90,9 +97,6 @@ def run_tile(
         tile: its draws and params.
         curve_lanes: lanes whose observations are returned, the first ones; None for all.
         by_event: see `take_samples`; False to differentiate in reverse mode.
-
-    Returns:
-        Outcomes with leaves (lanes, ...), and if ``spec.curves`` observations (intervals, lanes).
     """
     runs = set_up(spec, environment, tile)._replace(curve_lanes=curve_lanes, by_event=by_event)
     start = TileState(runs.start(), runs.sensors.start())
@@ -100,7 +104,8 @@ def run_tile(
         (run, _), rows = jax.lax.scan(partial(advance_interval, runs), start, runs.intervals())
     else:
         run, rows = _coarse_then_fine(runs, start)
-    return runs.finish(run), None if rows is None else metrics.unpack_observations(rows)
+    curves = None if rows is None else metrics.unpack_observations(rows)
+    return TileResults(runs.finish(run), curves)
 
 
 def advance_interval(

@@ -208,16 +208,10 @@ class TileSensors(NamedTuple):
                 exact = jax.tree.map(lambda a: a[places], shared)
             seed, ids = self.environment.seed, self.draws.draw_id
             driving = disturbances.driving_noise(self.disturbances, seed, ids, numbers)
-            inputs = SampleInputs(numbers, self.normal_numbers(numbers), exact, driving)
-            return self._measure_block(state, inputs)
+            normal = sensors.draw_normal_numbers(seed, ids, numbers) if self.spec.noisy else None
+            return self._measure_block(state, SampleInputs(numbers, normal, exact, driving))
 
         return measure
-
-    def normal_numbers(self, numbers: Array) -> Increments | None:
-        """Return standard normal numbers of n samples, leaves (n, draws); None without noise."""
-        if not self.spec.noisy:
-            return None
-        return sensors.draw_normal_numbers(self.environment.seed, self.draws.draw_id, numbers)
 
     @property
     def block_size(self) -> int:
