@@ -89,7 +89,8 @@ def mean_attitude(motion: Motion) -> Array:
         )
         pitch_roll = pitch[..., :, None, :] * roll[..., None, :, :]
         mean = mean * (pitch_roll[..., None, :] * yaw[..., None, None, :, :]).mean(-1)
-    # About the centers last: the attitude of a still base has no sum of equal numbers.
+    # About the centers last: the attitude of a still base has no sum of equal numbers. A product of
+    # matrices also keeps XLA from compiling all that is in the loop over tiles as one function.
     turns = [_add_angle(xp, sway.center) for sway in motion.angles]
     mean = xp.einsum("...pa,...rb,...yc,...abc->...pry", *turns, mean)
     one, cos, sin = range(3)  # of pitch, roll and yaw
