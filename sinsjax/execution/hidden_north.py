@@ -73,8 +73,15 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     return HiddenNorth(bias, rate, runs, draws * study.n_variants) if runs else None
 
 
-def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return level gyro bias and Omega cos L at a point of a sweep, rad/s, (draws,).
+class _Rates(NamedTuple):
+    """Level gyro bias and Omega cos L of some draws, rad/s, (draws,)."""
+
+    bias: np.ndarray
+    north: np.ndarray
+
+
+def _level_bias(values: Mapping[str, Any], draws: int) -> _Rates:
+    """Return level gyro bias and Omega cos L at a point of a sweep.
 
     A bias below Omega cos L as a whole is returned in place of its level part.
     """
@@ -88,4 +95,4 @@ def _level_bias(values: Mapping[str, Any], draws: int) -> tuple[np.ndarray, np.n
         here = jax.tree.map(lambda a, block=block: a[block], motion)
         turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
         level[block] = np.hypot(turned[:, 0], turned[:, 1])
-    return level, rate_n
+    return _Rates(level, rate_n)
