@@ -87,8 +87,10 @@ def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) 
     count, size, make = blocks
     next_event, triggered = steps.next_event, steps.triggered
     assert next_event is not None
-    shapes = jax.eval_shape(make, sensor_state, jnp.asarray(0))[0]
-    block = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes) if size > 1 else None
+    block = None
+    if size > 1:
+        shapes, _ = jax.eval_shape(make, sensor_state, jnp.asarray(0))
+        block = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
 
     def step_until(
         place: Count, end: Count, step: Callable[[Count, Any], Any], carry: Any

@@ -1,4 +1,4 @@
-"""True and reference attitudes, and the increments of ideal sensors, of whole studies."""
+"""True and coarsely aligned attitudes, and the increments of ideal sensors, of whole studies."""
 
 from functools import partial
 
