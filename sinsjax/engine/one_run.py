@@ -43,10 +43,9 @@ class OneRun:
             variance of the measured velocity, m^2/s^2.
     """
 
-    def __init__(self, batch: Batch) -> None:
-        """Take the only variant of a batch."""
-        self._batch = batch
-        self.params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], batch.params)
+    def __init__(self, batch: Batch, params: RunParams) -> None:
+        """Take a batch of one variant, and the params of that, leaves (...)."""
+        self._batch, self.params = batch, params
 
     def __call__(self, params: RunParams, draw: Draw) -> Outcome:
         """Return the outcome of one run, SI units, angles in rad, leaves (...).
@@ -126,20 +125,21 @@ def one_run(
     scenario = Scenario(study, record, curves=False)
     number, place = scenario.find(variant_id)
     batch = scenario.batch(number, variants=[place])
+    params: RunParams = jax.tree.map(lambda a: np.asarray(a)[0], batch.params)
     if window_s is not None:
         source = f"{scenario.study.name}: window_s"
-        soft = smooth_resets(batch.params.method, np.float64(window_s * scenario.study.rate_hz))
-        if soft is batch.params.method:
+        soft = smooth_resets(params.method, np.float64(window_s * scenario.study.rate_hz))
+        if soft is params.method:
             raise InputError(f"{source}: {batch.spec.method!r} has no resets to spread")
         if key := find_without_gradient(scenario.keys(number), smoothed=True):
             raise InputError(f"{source}: {key} cannot be spread over windows")
         if not window_s * scenario.study.rate_hz >= 1:
             raise InputError(f"{source}: must be a sample or more, not {window_s:g}")
-        batch = batch._replace(params=batch.params._replace(method=jax.tree.map(np.asarray, soft)))
+        params = params._replace(method=jax.tree.map(np.asarray, soft))
     if sharpness is not None:
         criteria = batch.environment.criteria._replace(sharpness=np.float64(sharpness))
         batch = batch._replace(environment=batch.environment._replace(criteria=criteria))
-    return OneRun(batch)
+    return OneRun(batch, params)
 
 
 def _as_double(leaf: Any) -> Any:
