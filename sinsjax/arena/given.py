@@ -12,12 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sinsjax.engine.batch import Batch
-from sinsjax.engine.inputs import (
-    Environment,
-    ProgramSpec,
-    Tiles,
-    stored_attitude,
-)
+from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
 from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import Intervals, Run, set_up
 from sinsjax.maths.algebra import select_tree
@@ -130,10 +125,7 @@ def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> St
 @partial(jax.jit, static_argnums=0)
 def _true_attitudes(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Quat:
     runs = set_up(spec, environment, tile)
-    numbers, attitudes = runs.intervals()
-    if attitudes is None:
-        look_up = partial(stored_attitude, environment, tile.draws)
-        attitudes = jax.vmap(look_up)(numbers)
+    attitudes: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
     turns = runs.sensors.housing_turns(spec.intervals)
     if turns is None:
         return attitudes

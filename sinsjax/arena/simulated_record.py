@@ -58,8 +58,8 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
         rows = truth.true_increments(motion, place, rate_hz, samples, axes=True)
         environment = environment._replace(increments=rows[:, :6], axes=rows[:, 6:])
     for number in range(batch.n_draws):
-        draw = jax.tree.map(lambda a, at=number: a[at] if np.ndim(a) else a, batch.draws)
-        rows, site = jax.tree.map(np.array, _measure(spec, samples, environment, draw))
+        draws = batch.select_draws(np.array([number])).draws
+        rows, site = jax.tree.map(np.array, _measure(spec, samples, environment, draws))
         yield Record(
             dtheta=rows[:, :3],
             dv=rows[:, 3:],
@@ -73,10 +73,9 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _measure(
-    spec: ProgramSpec, samples: int, environment: Environment, draw: Draw
+    spec: ProgramSpec, samples: int, environment: Environment, draws: Draw
 ) -> tuple[Array, Site]:
-    """Return the measured increments (samples, 6) of a draw, and its site."""
-    draws: Draw = jax.tree.map(lambda a: jnp.asarray(a)[None], draw)
+    """Return the measured increments (samples, 6) of a single draw, and its site."""
     draws = derive_inputs(spec, environment, draws)
     tile, all_ = TileSensors(spec, environment, draws), jnp.arange(samples)
     now, _ = tile.make_sampler(all_)(tile.start(), all_)

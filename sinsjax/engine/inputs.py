@@ -270,8 +270,3 @@ def map_draws(
     leaves = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     in_axes = (leaves, *((0,) * len(others) if axes is None else axes))
     return jax.vmap(function, in_axes, out_axes)(draws, *others)
-
-
-def stored_attitude(environment: Environment, draw: Draw, number: Array) -> Quat:
-    """Return the stored attitude of the base at the end of an interval; NaN if unknown."""
-    return Quat(*jnp.moveaxis(jnp.asarray(environment.attitudes)[draw.row, number], -1, 0))

@@ -58,10 +58,9 @@ class OneRun:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
             return self._trace(*given)
         # The smallest compiled call: its bits depend on no other run.
-        drawn, params = jax.tree.map(lambda a: np.asarray(a)[None], given[::-1])
-        chunk = Chunks(self._batch._replace(draws=drawn, params=params), tiles_per_chunk=1).compute(
-            0
-        )
+        params, drawn = jax.tree.map(lambda a: a[None], given)
+        alone = self._batch._replace(draws=drawn, params=params)
+        chunk = Chunks(alone, tiles_per_chunk=1).compute(0)
         outcome: Outcome = jax.tree.map(lambda a: a[0], chunk.outcome)
         return outcome
 

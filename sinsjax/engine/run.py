@@ -25,7 +25,6 @@ from sinsjax.engine.inputs import (
     Tiles,
     derive_inputs,
     map_draws,
-    stored_attitude,
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.samples import SensorState, TileSensors
@@ -424,14 +423,19 @@ class TileRuns(NamedTuple):
 
         The rotations ``turn`` are those from the draws' housings to their bases.
         """
-        number, q_true = interval
+        number, q_true = interval.number, self.base_attitudes(interval)
         run = run._replace(state=self.fit_blocks(run.state, number))
-        if q_true is None:
-            q_true = stored_attitude(self.environment, self.draws, number)
         if turn is not None:
             q_true = rotations.multiply(q_true, turn)
         observe = jax.vmap(self.one.observe, in_axes=(0, self.draw_axis, 0, None))
         return observe(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
+
+    def base_attitudes(self, interval: Intervals) -> Quat:
+        """Return the attitudes of the draws' bases at the end of an interval; NaN if unknown."""
+        if interval.q_true is not None:
+            return interval.q_true
+        stored = jnp.asarray(self.environment.attitudes)[self.draws.row, interval.number]
+        return Quat(*jnp.moveaxis(stored, -1, 0))
 
     def end_of(self, number: Count) -> Scalar:
         """Return the number of the last sample of an interval, from 1."""

@@ -206,19 +206,19 @@ class TaskRunner:
         )
         return tasks_by_stage
 
-    def _plan_program(self, part: int, draws: range, chunks_before: int) -> list[Task]:
+    def _plan_program(self, program: int, draws: range, chunks_before: int) -> list[Task]:
         """Return the tasks of some draws of a program, numbered from ``chunks_before``."""
-        duplicates, ids = self._duplicates[part], self.scenario.variant_ids[part]
+        duplicates, ids = self._duplicates[program], self.scenario.variant_ids[program]
         variants = len(ids) if duplicates is None else len(duplicates.computed)
-        spec, tasks = self._specs[part], []
+        spec, tasks = self._specs[program], []
         layout = Layout(spec, len(draws), variants, tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
             runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
             records = {name: spec.intervals if name == "curves" else 1 for name in self.schemas}
             rows = tuple((name, runs * rows_per_run) for name, rows_per_run in records.items())
-            name = f"part-{part:04d}-{chunks_before + call:06d}"
-            tasks.append(Task(name, part, (draws.start, draws.stop), call, runs, rows))
+            name = f"part-{program:04d}-{chunks_before + call:06d}"
+            tasks.append(Task(name, program, (draws.start, draws.stop), call, runs, rows))
         return tasks
 
     def _split_draws(self, stage: range) -> list[range]:
