@@ -167,13 +167,16 @@ def engine_workload(
     layout = group.lay_out(tiles_per_chunk=tiles, lanes=lanes)
     chunks = [i % len(layout) for i in range(devices)]
     runs = sum(len(layout.active(chunk).lane) for chunk in chunks)
-    arguments = [(group.environment, layout.tiles_of(group, chunk)) for chunk in chunks]
+    arguments = [
+        (group.environment, layout.tiles_of(group, chunk), np.int32(layout.blocks(chunk)))
+        for chunk in chunks
+    ]
     since = time.perf_counter()
     program = trace_program(group, layout).compiled()
     compile_s = time.perf_counter() - since
     placed = jax.device_put(arguments)
 
-    def one(arguments: tuple[Any, Tiles]) -> None:
+    def one(arguments: tuple[Any, Tiles, np.int32]) -> None:
         jax.block_until_ready(program(*arguments))
 
     # One device is timed in CPU time, which excludes other processes on the machine.

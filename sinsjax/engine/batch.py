@@ -11,8 +11,8 @@ of tiles, tiles follow one another in a chunk, and chunks are computed by one th
       ...                                                   up to 32 tiles: a chunk = one call
     chunk 0, chunk 1, chunk 2, ...      chunk k -> device k mod n, results in the order of chunks
 
-The state of a tile stays in the first-level cache; the tiles of a call follow one another under
-`lax.map`. The samples of each draw of a tile are made once and handed to its lanes, so variants
+The state of a tile stays in the first-level cache; those of a call that have runs are computed one
+after another. The samples of each draw of a tile are made once and handed to its lanes, so variants
 share their noise. On a CPU all threads call one program, elsewhere each that of its device.
 
 If all runs of a variant have the same covariance (`Program.shares_covariance`), tiles of the same
@@ -33,7 +33,8 @@ import numpy as np
 
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.engine.run import map_tiles, run_tile
+from sinsjax.types import Count
 
 LANES = 64
 """Runs per tile. Results are bit-equal for any chunk and device count only at one lane count."""
@@ -144,8 +145,8 @@ class Layout:
 
     Runs keep their order; stacked tiles take a few draws at a time. The layout depends on the
     program and the numbers of draws and variants alone, never on the machine. The last chunk is
-    filled up with idle lanes. A chunk never has a single block of tiles, whose loop the compiler
-    would unroll to other bits.
+    filled up with idle blocks, which are not computed. A chunk has room for two blocks of tiles or
+    more: the compiler would simplify the arguments of a single one, which may change bits.
 
     Attributes:
         width: lanes that a draw takes.
@@ -178,6 +179,7 @@ class Layout:
         self._stride = lanes if self._sets == 1 else max(lanes, self.width)
         self._across = self._stride // lanes  # blocks beside one another for the same draws
         blocks = -(-draws * self.width // (self._sets * self._stride)) * self._across
+        self._blocks = blocks
         if tiles_per_chunk is None:
             rows = lanes * spec.intervals
             most = min(CHUNK_TILES, CHUNK_STEPS // (rows * spec.interval_samples))
@@ -203,8 +205,12 @@ class Layout:
 
     @property
     def tiles(self) -> int:
-        """Number of tiles in all chunks."""
-        return self._count * self._size * self._sets
+        """Number of tiles that are computed, in all chunks."""
+        return self._blocks * self._sets
+
+    def blocks(self, number: int) -> int:
+        """Return the number of blocks of a chunk that have runs; they come first."""
+        return min(self._size, self._blocks - number * self._size)
 
     @property
     def curve_lanes(self) -> int | None:
@@ -298,11 +304,11 @@ class LazyProgram:
     def __init__(
         self, spec: ProgramSpec, curve_lanes: int | None, structure: Any, shapes: tuple
     ) -> None:
-        def run_tiles(environment: Environment, tiles: Tiles) -> Any:
+        def run_tiles(environment: Environment, tiles: Tiles, blocks: Count) -> Any:
             one = partial(run_tile, spec, environment, curve_lanes=curve_lanes)
-            return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
+            return map_tiles(spec, one, tiles, blocks)
 
-        arguments = jax.tree.unflatten(structure, shapes)
+        arguments = *jax.tree.unflatten(structure, shapes), jax.ShapeDtypeStruct((), np.int32)
         self._lowered: jax.stages.Lowered | None = jax.jit(run_tiles).lower(*arguments)
         self._compiled: jax.stages.Compiled | None = None
         self._lock = threading.Lock()
@@ -363,7 +369,8 @@ class Chunks:
         home = _thread.number % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
         tiles = self.layout.tiles_of(self._batch, number)
-        outcome, curves = jax.device_get(call(environment, tiles))
+        blocks = np.int32(self.layout.blocks(number))
+        outcome, curves = jax.device_get(call(environment, tiles, blocks))
         runs, axes = self.layout.active(number), tiles.draws.draw_id.ndim - 1  # tiles, and sets
         tile, lane = np.divmod(runs.lane, self.layout.lanes)
 

@@ -528,13 +528,21 @@ def broadcast_to_runs(row: Array, tree: Any) -> Any:
     return jax.tree.map(broadcast, tree)
 
 
-def map_stacked_tiles(
-    spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles
-) -> Callable[[Tiles], Any]:
-    """Return a function of one tile, mapped over the sets of stacked tiles if there are such."""
-    if not spec.shares_covariance:
-        return run
-    # Only what belongs to draws differs between the sets.
-    draws = jax.tree.map(lambda a: 0 if a.ndim > 1 else None, tiles.draws)
-    axes: Any = (draws, None, None)
-    return jax.vmap(run, in_axes=(Tiles(*axes),))
+def map_tiles(spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles, blocks: Count) -> Any:
+    """Return a function's results for the first ``blocks`` of tiles, or sets of stacked tiles.
+
+    The others' are zero. As their number is an argument, the compiler makes the same loop of any.
+    """
+    if spec.shares_covariance:  # only what belongs to draws differs between the sets
+        draws = jax.tree.map(lambda a: 0 if a.ndim > 2 else None, tiles.draws)
+        axes: Any = (draws, None, None)
+        run = jax.vmap(run, in_axes=(Tiles(*axes),))
+    run = jax.jit(run)  # traced once
+
+    def add(place: Count, results: Any) -> Any:
+        found = run(jax.tree.map(lambda a: a[place], tiles))
+        return jax.tree.map(lambda all_, one: all_.at[place].set(one), results, found)
+
+    one = jax.eval_shape(run, jax.tree.map(lambda a: a[0], tiles))
+    blank = jax.tree.map(lambda a: jnp.zeros((len(tiles.row), *a.shape), a.dtype), one)
+    return jax.lax.fori_loop(0, blocks, add, blank)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sinsjax.engine.batch import LANES, Batch, Layout, map_in_threads
 from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
-from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.engine.run import map_tiles, run_tile
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
@@ -40,7 +40,7 @@ from sinsjax.study.variants import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point
-from sinsjax.types import Array
+from sinsjax.types import Array, Count
 from sinsjax.units import DEG, micro_g
 
 NAME = "gradient"
@@ -374,10 +374,13 @@ class Slope:
             sharpness=np.float64(softness.sharpness), report_samples=None
         )
         environment = environment._replace(criteria=soft)
-        return [(environment, layout.tiles_of(batch, call)) for call in range(len(layout))]
+        return [
+            (environment, layout.tiles_of(batch, call), np.int32(layout.blocks(call)))
+            for call in range(len(layout))
+        ]
 
     def _differentiate(
-        self, spec: ProgramSpec, environment: Environment, tiles: Tiles
+        self, spec: ProgramSpec, environment: Environment, tiles: Tiles, blocks: Count
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
 
@@ -399,7 +402,8 @@ class Slope:
             active = {i: leaves[i] for i in directions}
             return sensitivities(partial(tile_values, tile), active, directions)
 
-        return jax.lax.map(map_stacked_tiles(spec, differentiate_tile, tiles), tiles)
+        values: tuple[Array, Array] = map_tiles(spec, differentiate_tile, tiles, blocks)
+        return values
 
 
 def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:

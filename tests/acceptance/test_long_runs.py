@@ -12,7 +12,7 @@ from support.studies import small_study
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine import samples, scenario
 from sinsjax.engine.inputs import aligned_record
-from sinsjax.engine.run import map_stacked_tiles, run_tile
+from sinsjax.engine.run import map_tiles, run_tile
 from sinsjax.execution import run
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
@@ -58,7 +58,7 @@ def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
         def one(tiles: Any) -> Any:
             return run_tile(spec, environment, tiles, shown)
 
-        return jax.lax.map(map_stacked_tiles(spec, one, tiles), tiles)
+        return map_tiles(spec, one, tiles, layout.blocks(0))
 
     traced = jax.make_jaxpr(program)(part.environment, tiles)
     size, what = max(arrays(traced.jaxpr))
