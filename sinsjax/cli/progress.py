@@ -27,7 +27,8 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 def show_progress(console: Console, name: str) -> Iterator[ProgressCallback]:
     """A progress bar on a terminal; otherwise a plain line every 10 % of a stage, or every 10 s.
 
-    Both show the completed runs, the rate, the time left and the failures so far.
+    Both show the completed runs, the rate, the time left and the failures so far, and before the
+    first runs which of several programs is being compiled.
     """
     if not console.is_terminal:
         yield _plain_progress(console, name, _RateMeter())
@@ -47,7 +48,7 @@ def show_progress(console: Console, name: str) -> Iterator[ProgressCallback]:
             text = pace.format_rate(now)
             bar.update(
                 task,
-                description=name if text else f"{name} (compiling)",
+                description=name if text else f"{name} ({_describe_compiling(now)})",
                 completed=now.done,
                 total=now.total,
                 counted=now.unit,
@@ -58,11 +59,15 @@ def show_progress(console: Console, name: str) -> Iterator[ProgressCallback]:
 
 
 def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> ProgressCallback:
-    last_tenth, last = -1, time.monotonic()
+    last_tenth, last, compiling = -1, time.monotonic(), ""
 
     def on_progress(now: RunProgress) -> None:
-        nonlocal last_tenth, last
+        nonlocal last_tenth, last, compiling
         text = rate.format_rate(now)
+        if now.done == now.done_before and now.programs > 1 and now.compiled < now.programs:
+            if compiling != (compiling := _describe_compiling(now)):
+                screen.print_line(console, f"{name}: {compiling}")
+            return
         tenth, clock = now.done * 10 // now.total, time.monotonic()
         began = now.done == now.done_before
         due = (
@@ -75,6 +80,12 @@ def _plain_progress(console: Console, name: str, rate: "_RateMeter") -> Progress
         screen.print_line(console, f"{name}: {now.done:,} of {now.total:,} {now.unit}{pace_text}")
 
     return on_progress
+
+
+def _describe_compiling(now: RunProgress) -> str:
+    if now.programs < 2:
+        return "compiling"
+    return f"compiling {min(now.compiled + 1, now.programs)} of {now.programs} programs"
 
 
 class _RateMeter:

@@ -33,6 +33,8 @@ class RunProgress(NamedTuple):
             to count.
         done_before: runs completed before this session.
         unit: what is counted, in words.
+        compiled: programs of the running stage that are compiled.
+        programs: number of them; 0 if it is not known.
     """
 
     done: int
@@ -40,13 +42,18 @@ class RunProgress(NamedTuple):
     failures: int | None
     done_before: int
     unit: str = "runs"
+    compiled: int = 0
+    programs: int = 0
 
 
 MAX_CURVE_RUNS = 1024
 """Largest number of runs whose curves are all stored by default."""
 
 ProgressCallback = Callable[[RunProgress], None]
-"""Progress callback, called before the first chunk and after every one."""
+"""Progress callback, called before the first chunk and after every one.
+
+Also when a program has been compiled, then from another thread, though never at the same time.
+"""
 
 
 def run(
@@ -267,7 +274,8 @@ def _run_tasks(
     counter.start(task for tasks in tasks_by_stage for task in tasks if task not in missing)
     for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
         pending = [task for task in tasks if task in missing]
-        for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), pending)):
+        ready = runner.compile_ahead(pending, counter.set_programs) if executor.local else pending
+        for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
             sink.add_result(result)
             missing.remove(result.task)
             counter.add_task(result.task, result.failures)
@@ -289,19 +297,28 @@ def _may_stop(study: Study, sink: ResultSink, draws: range) -> bool:
 
 
 class _ProgressCounter:
-    """Track progress."""
+    """Track progress; calls from several threads follow one another."""
 
     def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
         self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0)
         self._on_progress = on_progress or (lambda progress: None)
+        self._lock = threading.Lock()
 
     def start(self, stored: Iterable[Task]) -> None:
         before = sum(task.runs for task in stored)
-        self.progress = self.progress._replace(done=before, done_before=before)
-        self._on_progress(self.progress)
+        self._change(lambda now: now._replace(done=before, done_before=before))
+
+    def set_programs(self, compiled: int, programs: int) -> None:
+        self._change(lambda now: now._replace(compiled=compiled, programs=programs))
 
     def add_task(self, task: Task, failures: int) -> None:
-        counted = (self.progress.failures or 0) + failures
-        done = self.progress.done + task.runs
-        self.progress = self.progress._replace(done=done, failures=counted)
-        self._on_progress(self.progress)
+        self._change(
+            lambda now: now._replace(
+                done=now.done + task.runs, failures=(now.failures or 0) + failures
+            )
+        )
+
+    def _change(self, change: Callable[[RunProgress], RunProgress]) -> None:
+        with self._lock:
+            self.progress = change(self.progress)
+            self._on_progress(self.progress)

@@ -9,9 +9,9 @@ import json
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache, partial
-from itertools import product
+from itertools import count, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +34,7 @@ from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
 _CACHED_BATCHES = 3  # each has its own increments; threads may work on two programs
+_MOST_COMPILERS = 4  # programs that are compiled side by side, each in some 300 MB
 
 
 class Job(NamedTuple):
@@ -176,7 +177,9 @@ class TaskRunner:
         ]
         self._cached_batch = lru_cache(_CACHED_BATCHES)(self._make_batch)
         self._cached_blank_batch = lru_cache(1)(partial(self._make_batch, blank=True))
-        self._cached_chunks = lru_cache(_CACHED_BATCHES)(self._compile_chunks)
+        self._cached_chunks = lru_cache(_CACHED_BATCHES)(self._make_chunks)
+        self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
+        self._compiling = lru_cache(None)(self._begin_to_compile)
         first_block = self._split_draws(self.stages[0])[0]
         if self.scenario.stored is None:
             self._cached_blank_batch(0, first_block)
@@ -268,16 +271,47 @@ class TaskRunner:
         variants = slice(None) if duplicates is None else duplicates.computed
         return self.scenario.batch(program, draws, variants=variants, blank=blank)
 
-    def _compile_chunks(self, program: int, draws: range) -> Chunks:
-        make = partial(Chunks, tiles_per_chunk=self._tiles_per_chunk)
-        if self.scenario.stored is not None:
-            return make(self._cached_batch(program, draws))
-        blank = make(self._cached_blank_batch(program, draws))
-        with ThreadPoolExecutor(1) as pool:
-            compiling = pool.submit(blank.compile)
-            batch = self._cached_batch(program, draws)  # meanwhile, on another core
-            compiling.result()
-        return make(batch)
+    def compile_ahead(
+        self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]
+    ) -> Iterator[Task]:
+        """Yield tasks of one stage in order, while their programs and the next few are compiled.
+
+        Args:
+            tasks: the tasks.
+            on_compiled: called with the number of programs that are compiled and that of all, first
+                and whenever one more is, then from another thread.
+        """
+        by_program = {part: list(of) for part, of in groupby(tasks, lambda task: task.part)}
+        programs, compiled = list(by_program), count(1)
+        on_compiled(0, len(programs))
+        futures: dict[int, Future] = {}
+        try:
+            for number, program in enumerate(programs):
+                for ahead in programs[number : number + _MOST_COMPILERS]:
+                    if ahead not in futures:
+                        futures[ahead] = self._compiling(ahead, range(*by_program[ahead][0].draws))
+                        futures[ahead].add_done_callback(
+                            lambda _: on_compiled(next(compiled), len(programs))
+                        )
+                yield from by_program[program]
+        finally:
+            for future in futures.values():
+                future.cancel()
+
+    def _begin_to_compile(self, program: int, draws: range) -> Future:
+        return self._compilers.submit(self._compile, program, draws)
+
+    def _compile(self, program: int, draws: range) -> None:
+        """Compile a program, of blank arguments if that is enough."""
+        stored = self.scenario.stored is not None
+        make = self._cached_batch if stored else self._cached_blank_batch
+        Chunks(make(program, draws), tiles_per_chunk=self._tiles_per_chunk).compile()
+
+    def _make_chunks(self, program: int, draws: range) -> Chunks:
+        compiling = self._compiling(program, draws)
+        batch = self._cached_batch(program, draws)  # meanwhile, on another core
+        compiling.result()
+        return Chunks(batch, tiles_per_chunk=self._tiles_per_chunk)
 
 
 class Executor(NamedTuple):
@@ -287,10 +321,12 @@ class Executor(NamedTuple):
         run_tasks: yields results in any order, as Parquet files for a directory. It takes the next
             task from the iterable only when it has room for it, so the caller can stop early.
         facts: manifest entries about the machines of this session.
+        local: whether this process runs the tasks, and so compiles their programs.
     """
 
     run_tasks: Callable[[TaskRunner, Iterable[Task]], Iterator[Any]]
     facts: dict[str, Any]
+    local: bool = False
 
 
 def local_executor() -> Executor:
@@ -302,11 +338,14 @@ def local_executor() -> Executor:
     return Executor(
         lambda runner, tasks: map_in_threads(runner.compute_files, tasks, devices),
         {"devices": devices, "devices_are": description},
+        local=True,
     )
 
 
 def memory_executor() -> Executor:
     """Return an executor on all devices of this process whose results are tables."""
     return Executor(
-        lambda runner, tasks: map_in_threads(runner.compute_tables, tasks, len(jax.devices())), {}
+        lambda runner, tasks: map_in_threads(runner.compute_tables, tasks, len(jax.devices())),
+        {},
+        local=True,
     )
