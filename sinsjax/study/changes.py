@@ -10,9 +10,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study.files import TOO_DEEP
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys, leaf_info
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 from sinsjax.toml_text import parse_toml
 
 _SWEEP_TABLES = ("axes", "drawn")
@@ -97,31 +96,6 @@ def _delete_place(tables: TomlTable, place: str) -> None:
     if not isinstance(table, dict) or name not in table:
         raise InputError(f"{place}: cannot be dropped, as the study does not have it (omit it)")
     del table[name]
-
-
-def remove_defaults(
-    tables: Mapping[str, TomlTable], other_defaults: Mapping[str, Any]
-) -> TomlTable:
-    """Return the tables of a resolved study without the defaults that depend on other keys.
-
-    Args:
-        tables: sections by name.
-        other_defaults: defaults by key that neither the field nor its `KeyInfo` has.
-    """
-    result = dict(tables)
-    for name in SECTIONS.keys() & tables.keys():
-        fields, values = SECTIONS[name].model_fields, tables[name]
-        defaults = dict(other_defaults)
-        for key in fields.keys() & values.keys():
-            default = leaf_info(key).default if SECTION_OF[key] == name else None
-            if default is not None:
-                defaults[key] = default
-            elif fields[key].default_factory or name in SECTIONS_OF_METHODS:
-                defaults[key] = fields[key].get_default(
-                    call_default_factory=True, validated_data=values
-                )
-        result[name] = {k: v for k, v in values.items() if k not in defaults or v != defaults[k]}
-    return result
 
 
 def copy_tables(value: Any) -> Any:

@@ -21,20 +21,16 @@ from sinsjax.messages import escape_controls, explain_error, format_list_index, 
 from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
-    SECTIONS_OF_METHODS,
     register_external,
-    unread_keys,
 )
 from sinsjax.study import changes as changing
 from sinsjax.study import files, rules, search_space
+from sinsjax.study.defaults import GivenKeys, filled_in, without_defaults
 from sinsjax.study.keys import (
-    EARTH_CONSTANTS,
-    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     TomlTable,
-    alternative_keys,
     key_summary,
     unknown_key_error,
 )
@@ -59,14 +55,6 @@ __all__ = [
     "with_point",
 ]
 
-_DEFAULT_DRAWS = 64
-_DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
-    "draws": _DEFAULT_DRAWS,
-    "height_m": 0.0,
-    **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
-}
-"""Defaults that depend on other keys, or on whether the study is recorded."""
-_FEEDBACK_KEY = "feedback_interval_s"
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 """Sections of a sheet, which `sinsjax.advise` reads."""
@@ -189,14 +177,18 @@ def study_to_tables(study: Study) -> TomlTable:
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
+    content["cases"] = [
+        {key: value for key, value in case.items() if value is not None} for case in study.cases
+    ]
     names = (*SECTIONS, *_SWEEP_TABLES)
     return {name: content[name] for name in names if content.get(name)}
 
 
 def non_default_tables(study: Study) -> TomlTable:
     """Return a study as tables and lists, without the keys that have their defaults."""
-    filled = _DEPENDENT_DEFAULTS | _default_feedback(study.study.rate_hz)
-    tables = changing.copy_tables(changing.remove_defaults(study_to_tables(study), filled))
+    swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
+    varied = dict.fromkeys(study.drawn_keys, ()) | swept
+    tables = changing.copy_tables(without_defaults(study_to_tables(study), varied))
     return {name: table for name, table in tables.items() if table}
 
 
@@ -261,23 +253,29 @@ def _build_study(data: TomlTable, name: str) -> Study:
     tables = without_gone_settings(_lists_to_tuples(data))
     _check_tables(tables)
     _register_external(tables)
-    errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
+    errors, sweep = ErrorCollector(), Sweep()
     with errors.collect():
         sweep = read_sweep(tables)
-    key_tables = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
-    key_tables |= sweep.key_tables
+    given = {  # the cases have the others
+        section: {key: value for key, value in table.items() if key not in sweep.inherited}
+        for section, table in tables.items()
+        if section in SECTIONS
+    }
+    key_tables = {key: f"[{section}]" for section, keys in given.items() for key in keys}
+    key_tables |= sweep.table_of
     with errors.collect():
         _check_alternatives(key_tables)
-    sections = _fill_defaults(tables, sweep, key_tables, name)
+    defaults = filled_in(GivenKeys(given, sweep.values))
+    sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
+    sections["study"].setdefault("name", name)
     if "tune" in sections:
-        given = sections["tune"]
-        sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
+        tune = sections["tune"]
+        sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
         with errors.collect():
-            sections["tune"] = read_tune_section(
-                given, sweep.key_tables, recorded="record" in tables
-            )
+            recorded = "record" in tables
+            sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
     with errors.collect():
-        study = _validate_sections(sections)
+        study = _validate_sections(sections | sweep.for_study)
     errors.raise_all()
     if lines := rules.broken_rules(study, key_tables):
         raise InputError(*lines)
@@ -391,74 +389,18 @@ def _unknown_key_text(key: str, section: str) -> str:
 
 
 def _check_alternatives(key_tables: rules.KeyTables) -> None:
-    """Refuse two keys that are alternatives."""
+    """Refuse two keys that are alternatives; each case may have another one."""
     lines: list[str] = []
     reported: set[str] = set()
     for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        if first in key_tables and second in key_tables and reported.isdisjoint((first, second)):
-            text = f"conflicts with {second} in {key_tables[second]} (give one of them)"
-            lines.append(f"{key_tables[first]} {first}: {text}")
-            reported |= {first, second}
+        tables = {key_tables.get(first), key_tables.get(second)}
+        if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
+            continue
+        text = f"conflicts with {second} in {key_tables[second]} (give one of them)"
+        lines.append(f"{key_tables[first]} {first}: {text}")
+        reported |= {first, second}
     if lines:
         raise InputError(*lines)
-
-
-def _fill_defaults(
-    tables: TomlTable, sweep: Sweep, key_tables: rules.KeyTables, name: str
-) -> TomlTable:
-    """Return the sections that apply, with the defaults that depend on other keys."""
-    recorded = "record" in tables
-    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
-    unread = unread_keys(_values_over_variants("method", tables, sweep) & METHODS.keys())
-    given = {SECTION_OF.get(key) for key in key_tables}
-    idle = {
-        name
-        for name, section in SECTIONS_OF_METHODS.items()
-        if unread.issuperset(section.model_fields)
-    }
-    optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
-    unused += tuple(optional - given - tables.keys())
-    unused += tuple(idle - given)
-    for section in idle & given:  # complete, as if another variant read it
-        unread -= {*SECTIONS[section].model_fields, _FEEDBACK_KEY}
-    sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
-    sections["study"].setdefault("name", name)
-    if not recorded:
-        sections["study"].setdefault("draws", _DEFAULT_DRAWS)
-        sections["earth"].setdefault("height_m", 0.0)
-        for white, density in SECTIONS["sensors"].exclusive:
-            if white not in key_tables and density not in key_tables:
-                sections["sensors"][white] = 0.0
-    for section, values in sections.items():
-        for key in SECTIONS[section].model_fields.keys() - unread:
-            key_info = KEYS[section, key].info
-            if key_info.default is None or not key_tables.keys().isdisjoint(alternative_keys(key)):
-                continue
-            if key_info.beside is None or (
-                key not in key_tables
-                and _values_over_variants(key_info.beside, tables, sweep) - {None, "none"}
-            ):
-                values.setdefault(key, key_info.default)
-    if _FEEDBACK_KEY not in key_tables and _FEEDBACK_KEY not in unread:
-        sections["alignment"] |= _default_feedback(sections["study"].get("rate_hz"))
-    if "constants" in _values_over_variants("earth", tables, sweep):
-        sections["earth"] = EARTH_CONSTANTS | sections["earth"]
-    return sections | sweep._asdict()
-
-
-def _default_feedback(rate_hz: Any) -> TomlTable:
-    """Return the default of ``feedback_interval_s``; empty until a valid rate is known."""
-    known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
-    return {_FEEDBACK_KEY: 1 / rate_hz} if known else {}
-
-
-def _values_over_variants(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
-    """Return the values of a key over the variants, or the default of its section."""
-    section = SECTION_OF[key]
-    default = SECTIONS[section].model_fields[key].default
-    given = tables.get(section, {}).get(key, default)
-    # Values that are not text are refused when all values are checked.
-    return sweep.values(key) or {given if isinstance(given, str) else default}
 
 
 def _validate_sections(sections: TomlTable) -> Study:

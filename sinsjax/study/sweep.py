@@ -6,7 +6,7 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 """
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 from sinsjax import gone
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
+from sinsjax.study.defaults import GivenKeys, dependent_default
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
@@ -69,15 +70,24 @@ def sweep_dimensions(
 
 
 class Sweep(NamedTuple):
-    """The variation of a study, with attributes of the same name as in `Study`."""
+    """The variation of a study.
 
-    axes: Dimension
-    zips: dict[str, Dimension]
-    cases: tuple[TomlTable, ...]
-    drawn: DrawnSection | None
+    Attributes:
+        axes: as in `Study`, like the next three.
+        zips: see above.
+        cases: see above.
+        drawn: see above.
+        inherited: keys that some cases have from their sections, where they do not count any more.
+    """
+
+    axes: Dimension = {}
+    zips: dict[str, Dimension] = {}
+    cases: tuple[TomlTable, ...] = ()
+    drawn: DrawnSection | None = None
+    inherited: frozenset[str] = frozenset()
 
     @property
-    def key_tables(self) -> dict[str, str]:
+    def table_of(self) -> dict[str, str]:
         """The table, in brackets, of every key that is swept or drawn."""
         return {
             **dict.fromkeys(self.axes, "[axes]"),
@@ -86,10 +96,17 @@ class Sweep(NamedTuple):
             **dict.fromkeys(self.drawn.laws if self.drawn else (), "[drawn]"),
         }
 
-    def values(self, key: str) -> set[Any]:
-        """Return the values over which a key is swept; empty if it is not swept."""
+    @property
+    def for_study(self) -> TomlTable:
+        """The attributes of a `Study`."""
+        return {name: value for name, value in self._asdict().items() if name != "inherited"}
+
+    @property
+    def values(self) -> dict[str, tuple[Any, ...]]:
+        """The values of every key that is swept; none of keys that are drawn."""
         dimensions = sweep_dimensions(self.cases, self.zips.values(), self.axes)
-        return {value for dimension in dimensions for value in dimension.get(key, ())}
+        swept = {key: values for dimension in dimensions for key, values in dimension.items()}
+        return dict.fromkeys(self.drawn.laws if self.drawn else (), ()) | swept
 
 
 def read_sweep(tables: TomlTable) -> Sweep:
@@ -101,15 +118,16 @@ def read_sweep(tables: TomlTable) -> Sweep:
     Raises:
         InputError: ``[table] key: what is wrong (hint)``.
     """
-    errors, swept = ErrorCollector(), Sweep({}, {}, (), None)
+    errors, swept = ErrorCollector(), Sweep()
     with errors.collect():
         axes, zips = _read_axes(tables)
         swept = swept._replace(axes=axes, zips=zips)
     with errors.collect():
-        swept = swept._replace(cases=_read_cases(tables, _axis_keys(tables)))
-    key_tables = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
+        cases, inherited = _read_cases(tables, swept.values)
+        swept = swept._replace(cases=cases, inherited=inherited)
+    table_of = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     with errors.collect():
-        swept = swept._replace(drawn=_read_drawn(tables, key_tables | swept.key_tables))
+        swept = swept._replace(drawn=_read_drawn(tables, table_of | swept.table_of))
     errors.raise_all()
     return swept
 
@@ -239,43 +257,89 @@ def _read_axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, 
     return check_values(values, key, f"[{table}] {key}")
 
 
-def _read_cases(tables: TomlTable, axes: set[str]) -> tuple[TomlTable, ...]:
-    """Return the cases, with no key that is an axis too."""
+def _read_cases(
+    tables: TomlTable, axes: Mapping[str, Collection[Any]]
+) -> tuple[tuple[TomlTable, ...], frozenset[str]]:
+    """Return the cases, each with the same keys, and the keys that some have from their sections.
+
+    A key that a case leaves out has the value of its section, or its default; None if an
+    alternative to it is given instead.
+    """
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
         raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
-    keys = list(rows[0]) if rows else []
+    keys, swept = dict.fromkeys(key for row in rows for key in row), _axis_keys(tables)
     errors = ErrorCollector()
     for key in keys:
         with errors.collect():
             if key != "case":
                 _check_sweepable("cases", key, "record" in tables)
-            if key in axes:
+            if key in swept:
                 raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
+    errors.raise_all()
+    given: list[TomlTable] = []
     for i, row in enumerate(rows):
-        for key in dict.fromkeys((*keys, *row)):
-            if key not in row or key not in keys:
-                raise InputError(
-                    f"[cases] {key}[{i}]: is not in every case (give it in all of them)"
-                )
+        given.append({})
+        for key, value in row.items():
+            with errors.collect():
+                given[i][key] = check_value(value, key, f"[cases] {key}[{i}]")
+                for other in sorted(alternative_keys(key) & row.keys()):
+                    text = f"conflicts with {other} in the same case (give one of them)"
+                    raise InputError(f"[cases] {key}[{i}]: {text}")
+        if "case" in keys and "case" not in row:
+            errors.add(f"[cases] case[{i}]: is not in every case (give it in all of them)")
     errors.raise_all()
-    columns = {}
-    for key in keys:
-        with errors.collect():
-            columns[key] = check_values([row[key] for row in rows], key, f"[cases] {key}")
+    inherited = [key for key in keys if any(key not in row for row in rows)]
+    others = [other for key in inherited for other in sorted(alternative_keys(key))]
+    # What a case without a key has in its place differs from case to case too.
+    acting = [
+        key
+        for key in dict.fromkeys(others)
+        if key in tables.get(SECTION_OF[key], ()) or _acts_by_default(key, tables)
+    ]
+    keys |= dict.fromkeys(acting)
+    with errors.collect():
+        cases = tuple(_complete_case(row, keys, tables, axes) for row in given)
     errors.raise_all()
-    cases = tuple({key: columns[key][i] for key in keys} for i in range(len(rows)))
-    values = [key for key in keys if key != "case"]
-    place = f"[cases] {', '.join(values) or 'case'}"
-    _check_distinct([tuple(case[key] for key in values) for case in cases], place)
+    names = [key for key in keys if key != "case"]
+    place = f"[cases] {', '.join(names) or 'case'}"
+    _check_distinct([tuple(case[key] for key in names) for case in cases], place)
     if "case" in keys:
         _check_distinct([case["case"] for case in cases], "[cases] case")
-    return cases
+    return cases, frozenset((*inherited, *acting))
 
 
-def _read_drawn(tables: TomlTable, key_tables: Mapping[str, str]) -> DrawnSection | None:
+def _acts_by_default(key: str, tables: TomlTable) -> bool:
+    """Return whether a key that is left out, with its alternatives, acts by its default."""
+    default = dependent_default(key, GivenKeys(tables, {}))
+    return default is not None and key != "reset_count"
+
+
+def _complete_case(
+    row: TomlTable, keys: Iterable[str], tables: TomlTable, axes: Mapping[str, Collection[Any]]
+) -> TomlTable:
+    """Return a case with the values of some keys that it leaves out."""
+    given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in row.items()}})
+    return {key: row[key] if key in row else _inherited_value(key, given) for key in keys}
+
+
+def _inherited_value(key: str, given: GivenKeys) -> Any:
+    """Return the value of a key that a case leaves out."""
+    name, alternatives = SECTION_OF[key], alternative_keys(key)
+    section = given.tables.get(name, {})
+    if not alternatives.isdisjoint(given.varied):
+        return None
+    if key in section:
+        return check_value(section[key], key, f"[{name}] {key}")
+    default = dependent_default(key, given)
+    if default is None and alternatives.isdisjoint(section):
+        default = SECTIONS[name].model_fields[key].get_default()
+    return default
+
+
+def _read_drawn(tables: TomlTable, table_of: Mapping[str, str]) -> DrawnSection | None:
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
     if "drawn" not in tables:
         return None
@@ -287,10 +351,8 @@ def _read_drawn(tables: TomlTable, key_tables: Mapping[str, str]) -> DrawnSectio
     for key, law in table.items():
         with errors.collect():
             _check_drawable(key, "record" in tables)
-            if key in key_tables:
-                raise InputError(
-                    f"[drawn] {key}: is in {key_tables[key]} already (drop one of them)"
-                )
+            if key in table_of:
+                raise InputError(f"[drawn] {key}: is in {table_of[key]} already (drop one of them)")
             laws[key] = _read_law(key, law)
     errors.raise_all()
     try:
@@ -451,15 +513,15 @@ def _read_ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
             ranges[key] = _read_key_range(key, value)
     errors.raise_all()
     times, count = ranges.get(TIMES), ranges.get(COUNT)
-    key_tables = dict.fromkeys(ranges, _VARIABLES)
+    table_of = dict.fromkeys(ranges, _VARIABLES)
     if isinstance(times, tuple) and isinstance(count, Range):
         for number in count.candidates or (count.fixed,):
             if number > len(times):
                 text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
                 raise InputError(f"{_VARIABLES} {COUNT}: {text}")
-        del key_tables[COUNT]
-    for key in key_tables:
-        _check_alternatives(key, key_tables, _VARIABLES)
+        del table_of[COUNT]
+    for key in table_of:
+        _check_alternatives(key, table_of, _VARIABLES)
     return ranges
 
 
@@ -476,9 +538,9 @@ def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
     _check_alternatives(key, swept, place)
 
 
-def _check_alternatives(key: str, key_tables: Mapping[str, str], place: str) -> None:
-    for alternative in sorted(alternative_keys(key) & key_tables.keys()):
-        text = f"conflicts with {alternative} in {key_tables[alternative]} (give one of them)"
+def _check_alternatives(key: str, table_of: Mapping[str, str], place: str) -> None:
+    for alternative in sorted(alternative_keys(key) & table_of.keys()):
+        text = f"conflicts with {alternative} in {table_of[alternative]} (give one of them)"
         raise InputError(f"{place} {key}: {text}")
 
 
