@@ -181,7 +181,7 @@ def _changed(
     if time_s is not None:
         options["advise.time_s"] = time_s
     _check_tables(data)
-    changed = apply_changes(data, options | dict(changes))
+    changed = apply_changes(apply_changes(data, options), changes)
     _check_tables(changed)
     return changed
 

@@ -19,7 +19,24 @@ _EXAMPLE = "such as alignment.phi_u0_deg"
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
-def parse_changes(texts: Iterable[str]) -> TomlTable:
+class SetOptions(dict[str, Any]):
+    """The values of ``--set`` by place, whose user is told what else they drop."""
+
+    def __init__(self) -> None:
+        """Begin without changes."""
+        super().__init__()
+        self._told = set[str]()
+
+    def tell(self, line: str) -> None:
+        """Print a line on the standard error, once."""
+        if line not in self._told:
+            from sinsjax.console import print_warning
+
+            print_warning(line)
+            self._told.add(line)
+
+
+def parse_changes(texts: Iterable[str]) -> SetOptions:
     """Return the values of some texts ``PLACE=VALUE`` by place.
 
     Values are written as in TOML; a single word needs no quotes.
@@ -27,7 +44,7 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
     Raises:
         InputError: a text has no place or no value, or a value is nested too deeply.
     """
-    changes = {}
+    changes = SetOptions()
     for text in texts:
         place, equals, value = (part.strip() for part in text.partition("="))
         if not (place and equals and value):
@@ -51,6 +68,8 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
 def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
+    The user of `SetOptions` is told the alternatives to a key that it replaces.
+
     Args:
         tables: sections by name.
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
@@ -58,9 +77,11 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
             table drops the section, key, axis or table of that name.
 
     Raises:
-        InputError: a place does not name a section and a key, or there is nothing to drop.
+        InputError: a place does not name a section and a key, there is nothing to drop, or two
+            changes are alternatives.
     """
-    result = {name: copy_tables(table) for name, table in tables.items()}
+    result: TomlTable = copy_tables(tables)
+    places: dict[str, str] = {}  # by key
     for place, value in changes.items():
         section, *path = place.split(".")
         if value == {}:
@@ -83,7 +104,13 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
         table[path[-1]] = value
         key = path[0] if section != "axes" else path[-1]
         if section in _SWEEP_TABLES or (section in SECTIONS and len(path) == 1):
-            _remove_key_from_others(result, key, table if section == "axes" else result[section])
+            for other in alternative_keys(key) & places.keys():
+                raise InputError(f"{place}: conflicts with {places[other]} (give one of them)")
+            places[key] = place
+            kept = table if section == "axes" else result[section]
+            dropped = _remove_key_from_others(result, key, kept)
+            if dropped and isinstance(changes, SetOptions):
+                changes.tell(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
@@ -105,21 +132,34 @@ def copy_tables(value: Any) -> Any:
     return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
-def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> None:
+def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> list[str]:
     """Remove a key and its alternatives from all tables that give or vary them.
 
     The table ``kept_table`` retains the key itself, in its position. An empty zip is removed, and
     so is [drawn] if it does not draw a key any more.
+
+    Returns:
+        The alternatives that are gone, each after its table in brackets.
     """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}
-    given_tables = [tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"]
-    for table in (*given_tables, *axes.values(), *(cases if isinstance(cases, list) else ())):
-        for removed in {key, *alternative_keys(key)} if isinstance(table, dict) else ():
-            if table is not kept_table or removed != key:
-                table.pop(removed, None)
+    given = {
+        f"[{name}]": tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"
+    }
+    given |= {f"[axes.{name}]": table for name, table in axes.items()}
+    rows = [("[cases]", row) for row in (cases if isinstance(cases, list) else ())]
+    dropped: dict[str, None] = {}
+    for name, table in (*given.items(), *rows):
+        if not isinstance(table, dict):
+            continue
+        if table is not kept_table:
+            table.pop(key, None)
+        for other in sorted(alternative_keys(key) & table.keys()):
+            del table[other]
+            dropped[f"{name} {other}"] = None
     for name in [name for name, table in axes.items() if table == {}]:
         del axes[name]
     drawn = tables.get("drawn")
     if isinstance(drawn, dict) and drawn is not kept_table and drawn.keys() <= {"sampling"}:
         del tables["drawn"]
+    return list(dropped)
