@@ -99,6 +99,19 @@ class KeyCondition(NamedTuple):
     refused: bool = False
 
 
+def field(default: Any, meaning: str, otherwise: Any = None, **constraints: Any) -> Any:
+    """Return the field of a key, whose name ends in its unit.
+
+    Args:
+        default: value of an omitted key in the study; ``...`` if it is required.
+        meaning: description, without unit and default.
+        otherwise: what an omitted key means, if ``default`` does not state it: a number, or words.
+        constraints: further arguments of pydantic's ``Field``.
+    """
+    shown = None if otherwise is None else {"default": otherwise}
+    return Field(default, description=meaning, json_schema_extra=shown, **constraints)
+
+
 ROUNDING = 1e-9
 """Relative tolerance for the rounding of a product of two decimal numbers."""
 
@@ -268,6 +281,12 @@ class Section(BaseModel):
         same = {key: info for key, info in infos.items() if info.alternative_to == first}
         factors = {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
         return MappingProxyType(factors)
+
+    @classmethod
+    def otherwise(cls, key: str) -> Any:
+        """Return what an omitted key means, see `field`; None if its default states it."""
+        shown = cls.model_fields[key].json_schema_extra
+        return shown.get("default") if isinstance(shown, dict) else None
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

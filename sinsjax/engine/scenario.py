@@ -42,10 +42,11 @@ from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study import sampling
-from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS
+from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.schema import (
+    EARTH_CONSTANTS,
     TURN_KEYS,
     EarthSection,
     MotionSection,

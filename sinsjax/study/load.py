@@ -28,7 +28,6 @@ from sinsjax.methods.registry import (
 from sinsjax.study import changes as changing
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.keys import (
-    EARTH_CONSTANTS,
     KEYS,
     SECTION_OF,
     SECTIONS,
@@ -39,6 +38,7 @@ from sinsjax.study.keys import (
     unknown_key_error,
 )
 from sinsjax.study.questions import reject_open_questions
+from sinsjax.study.schema import EARTH_CONSTANTS
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import (
     Sweep,

@@ -24,7 +24,6 @@ from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import check_attitude_key
 from sinsjax.study.keys import (
     COARSE_KEYS,
-    EARTH_CONSTANTS,
     KEYS,
     PASS_KEYS,
     SECTION_OF,
@@ -35,7 +34,7 @@ from sinsjax.study.keys import (
 from sinsjax.study.measurement_noise import check_measurement_noise
 from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
-from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
+from sinsjax.study.schema import EARTH_CONSTANTS, NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turn_keys, check_turns

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-from pydantic import Field
 
 from sinsjax.columns import Column
 from sinsjax.maths import rotations
@@ -34,6 +33,7 @@ from sinsjax.value_types import (
     KeyInfo,
     NonNegative,
     Section,
+    field,
     keys_of,
 )
 
@@ -170,28 +170,28 @@ def build(options: method.Options) -> method.Program:
 
 
 def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
-    return Field(None, description=f"{meaning}; default: {default}")
+    return field(None, meaning, default)
 
 
 class GravityFitSection(Section):
     """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
 
-    fit_gyro_bias_deg_per_h: GyroSigma | None = _believed("1 sigma of each gyro's bias, deg/h")
+    fit_gyro_bias_deg_per_h: GyroSigma | None = _believed("1 sigma of each gyro's bias")
     fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = _believed(
-        "angle random walk of each gyro, deg/sqrt(h), above 0", "the white noise of [sensors]"
+        "angle random walk of each gyro, above 0", "the white noise of [sensors]"
     )
     fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = _believed(
-        "1 sigma of each gyro's scale factor error, ppm"
+        "1 sigma of each gyro's scale factor error"
     )
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
-        _believed("1 sigma of each cross-axis error of the gyros, arcsec")
+        _believed("1 sigma of each cross-axis error of the gyros")
     )
     fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = _believed(
-        "1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis", "that of [motion]"
+        "1 sigma per axis of the lever arm from the turn axis; 0 on the axis", "that of [motion]"
     )
-    fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias, ug")
+    fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias")
     fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = _believed(
-        "velocity random walk of each accelerometer, ug/sqrt(Hz), above 0",
+        "velocity random walk of each accelerometer, above 0",
         "the white noise of [sensors]",
     )
 
