@@ -108,9 +108,7 @@ LEVEL = method.Method(
     source="accelerometer levelling, Groves (2013) section 5.6.2",
     sections={"level": LevelSection},
     build=build,
-    params=lambda keys, xp: (
-        keys.column("level_accel_bias_ug", keys.micro_g) / keys.site.place.gravity
-    ),
+    params=lambda keys, xp: keys.si("level_accel_bias_ug") / keys.site.place.gravity,
     needs_start=False,
     finds_heading=False,
     step_s=3e-9,

@@ -18,10 +18,14 @@ from sinsjax.columns import Column
 from sinsjax.methods.filters.loop import Filter, closed_loop
 from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
+from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo, Section, field, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
+
+_SQRT_H = DEG_PER_SQRT_H / DEG_PER_H
+"""One deg/sqrt(h), in deg/h/sqrt(Hz): 60."""
 
 
 class FilterSection(Section):
@@ -47,21 +51,21 @@ class FilterSection(Section):
         "that of the gyros in [sensors]",
     )
     q_accel_ug_per_sqrt_hz: Annotated[
-        vt.AccelNoise | None, KeyInfo(alternative_to="q_accel_ug", factor=1.0)
+        vt.AccelNoise | None, KeyInfo(alternative_to="q_accel_ug")
     ] = field(
         None,
         "process noise density of velocity errors; alternative to q_accel_ug with q_reading ="
         " 'psd'",
     )
     q_gyro_deg_per_h_per_sqrt_hz: Annotated[
-        vt.GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=1.0)
+        vt.GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h")
     ] = field(
         None,
         "process noise density of misalignments; alternative to q_gyro_deg_per_h with q_reading ="
         " 'psd'",
     )
     q_gyro_arw_deg_per_sqrt_h: Annotated[
-        vt.GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=60.0)
+        vt.GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h")
     ] = field(
         None,
         "angle random walk, a sixtieth of the number in deg/h/sqrt(Hz); alternative to"
@@ -113,7 +117,7 @@ def gyro_noise_density(
     rate_hz: float, gyro_noise_deg_per_h: Any, gyro_arw_deg_per_sqrt_h: Any
 ) -> float | None:
     """Return the density of the noisiest gyro's white noise, deg/h/sqrt(Hz); see above."""
-    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, 60.0)
+    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, _SQRT_H)
 
 
 def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float) -> float | None:

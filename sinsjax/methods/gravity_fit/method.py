@@ -24,7 +24,7 @@ from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
 from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
-from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.units import DEG_PER_H, si_factor
 from sinsjax.value_types import (
     AccelNoise,
     AccelSigma,
@@ -206,26 +206,27 @@ _NOISE = {
 def params(keys: method.StudyKeys, xp: Any) -> FitParams:
     """Return `FitParams`, leaves (variants,)."""
     # A record has no [sensors]: the rules require what it must give itself.
-    ug, zero, simulated = keys.micro_g, np.zeros(keys.count), keys.has("sensors")
+    zero, simulated = np.zeros(keys.count), keys.has("sensors")
 
-    def given_or(default: Any, key: str, unit: float) -> Any:
-        given = keys.column(key, unit)
+    def given_or(default: Any, key: str) -> Any:
+        given = keys.si(key)
         return np.where(np.isnan(given), default, given) if isinstance(given, np.ndarray) else given
 
-    def size(key: str, unit: float) -> Any:
-        return keys.rms(key) * unit if simulated else zero
+    def size(key: str) -> Any:
+        return keys.rms(key) * si_factor(key, keys.micro_g) if simulated else zero
 
-    def believed(key: str, unit: float) -> Any:
-        return given_or(size(key, unit), f"fit_{key}", unit)
+    def believed(key: str) -> Any:
+        return given_or(size(key), f"fit_{key}")
 
-    def white(key: str, unit: float, density_unit: float) -> Any:
+    def white(key: str) -> Any:
         density = _NOISE[key]
         own = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) if simulated else zero
-        return given_or(own * density_unit, key, unit)
+        per_sample = keys_of(density)[0]  # in the unit of the density but for sqrt(Hz)
+        return given_or(own * si_factor(per_sample, keys.micro_g), key)
 
-    def drifts(sensor: str, unit_name: str, unit: float) -> tuple[Drift, ...]:
-        variance = size(f"{sensor}_instability_{unit_name}", unit) ** 2
-        density = size(f"{sensor}_rrw_{unit_name}_per_sqrt_h", unit) ** 2 / 3600
+    def drifts(sensor: str, unit: str) -> tuple[Drift, ...]:
+        variance = size(f"{sensor}_instability_{unit}") ** 2
+        density = size(f"{sensor}_rrw_{unit}_per_sqrt_h") ** 2
         found = []
         if variance.any():
             found += [Drift(variance, 1 / keys.column(f"{sensor}_instability_time_s"), zero)]
@@ -233,22 +234,22 @@ def params(keys: method.StudyKeys, xp: Any) -> FitParams:
             found += [Drift(zero, zero, density)]
         return tuple(found)
 
-    scale, cross = believed("gyro_scale_ppm", PPM), believed("gyro_misalignment_arcsec", ARCSEC)
-    lever = believed("lever_arm_m", 1.0)
+    scale, cross = believed("gyro_scale_ppm"), believed("gyro_misalignment_arcsec")
+    lever = believed("lever_arm_m")
     # On a level base the reaction to gravity makes a bias of the axes' errors.
-    tilted = size("accel_misalignment_arcsec", ARCSEC) * keys.site.place.gravity
+    tilted = size("accel_misalignment_arcsec") * keys.site.place.gravity
     surge = keys.compute(level_surge, "surge_m_per_s") if simulated else zero
     has_scale = _is_given(scale) or _is_given(cross)
     return FitParams(
         noise=SensorNoise(
-            gyro=white("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
-            accel=white("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
-            gyro_drifts=drifts("gyro", "deg_per_h", DEG_PER_H),
-            accel_drifts=drifts("accel", "ug", ug),
+            gyro=white("fit_gyro_arw_deg_per_sqrt_h"),
+            accel=white("fit_accel_vrw_ug_per_sqrt_hz"),
+            gyro_drifts=drifts("gyro", "deg_per_h"),
+            accel_drifts=drifts("accel", "ug"),
             surge=Drift(surge**2, 1 / keys.column("surge_time_s"), zero) if surge.any() else None,
         ),
-        gyro_bias=believed("gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=xp.hypot(believed("accel_bias_ug", ug), tilted),
+        gyro_bias=believed("gyro_bias_deg_per_h"),
+        accel_bias=xp.hypot(believed("accel_bias_ug"), tilted),
         scale_factor=scale if has_scale else None,
         cross_axis=cross if has_scale else None,
         lever_arm=lever if _is_given(lever) else None,
