@@ -6,6 +6,7 @@ drawn key.
 """
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -13,7 +14,6 @@ from sinsjax.errors import InputError
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys, leaf_info
-from sinsjax.toml_text import parse_toml
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
@@ -34,7 +34,7 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
         if not (place and equals and value):
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
         try:
-            changes[place] = parse_toml(f"value = {value}")["value"]
+            changes[place] = tomllib.loads(f"value = {value}")["value"]
         except ValueError:
             if _COMMA.fullmatch(value):
                 hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
