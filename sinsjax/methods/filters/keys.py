@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sinsjax import value_types as vt
-from sinsjax.columns import Column
+from sinsjax.columns import column
 from sinsjax.methods.filters.loop import Filter, closed_loop
 from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
@@ -452,14 +452,14 @@ _is_recorded = attrgetter("is_recorded")  # a simulation has the truth to be jud
 
 FILTER_COLUMNS = (
     OwnColumn(
-        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
+        column("triggered_count", "resets that the trigger called for", pa.int64()),
         partial(_triggered, "count"),
         missing=0.0,
         applies_to=any_trigger,
     ),
     *(
         OwnColumn(
-            Column(f"triggered_{which}_s", pa.float64(), "s", meaning),
+            column(f"triggered_{which}_s", meaning),
             partial(_triggered, which),
             applies_to=any_trigger,
         )
@@ -469,10 +469,8 @@ FILTER_COLUMNS = (
         )
     ),
     OwnColumn(
-        Column(
+        column(
             "innovation_nis",
-            pa.float64(),
-            "",
             "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
         ),
         lambda results, rate_hz: (
@@ -481,9 +479,7 @@ FILTER_COLUMNS = (
         applies_to=_is_recorded,
     ),
     OwnColumn(
-        Column(
-            "innovation_freedom", pa.float64(), "", "degrees of freedom of their sum: 2 an update"
-        ),
+        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
         lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
         applies_to=_is_recorded,
     ),

@@ -14,9 +14,8 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
 
-from sinsjax.columns import Column
+from sinsjax.columns import column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
@@ -262,17 +261,18 @@ def _is_given(sigma: Any) -> bool:
 
 
 def _column(
-    name: str, meaning: str, unit: str = "", value: Callable[[Solution], Any] | None = None
+    name: str, meaning: str, value: Callable[[Solution], Any] | None = None
 ) -> method.OwnColumn:
-    column, read = Column(f"fit_{name}", pa.float64(), unit, meaning), value or attrgetter(name)
-    return method.OwnColumn(column, lambda results, rate_hz: np.asarray(read(results)))
+    read = value or attrgetter(name)
+    return method.OwnColumn(
+        column(f"fit_{name}", meaning), lambda results, rate_hz: np.asarray(read(results))
+    )
 
 
 def _bias_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_deg_per_h",
         f"gyro bias of the {name} axis by the fit",
-        "deg/h",
         lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
     )
 
@@ -281,7 +281,6 @@ def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_sigma_deg_per_h",
         "1 sigma of it",
-        "deg/h",
         lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
     )
 
