@@ -24,6 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from sinsjax import columns
 from sinsjax.messages import CONTROL
+from sinsjax.units import si_factor
 
 
 def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
@@ -58,7 +59,6 @@ class KeyInfo(NamedTuple):
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
-        factor: from its unit to that of ``alternative_to``.
         acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
             nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
             error. 'distortion': constant error in proportion to what a sensor measures. 'quantum':
@@ -73,7 +73,6 @@ class KeyInfo(NamedTuple):
     merged: bool = False
     time: str | None = None
     alternative_to: str | None = None
-    factor: float | None = None
     acts_as: Effect | None = None
 
 
@@ -97,6 +96,19 @@ class KeyCondition(NamedTuple):
     given: tuple[str, ...]
     acts: Callable[..., bool]
     refused: bool = False
+
+
+def field(default: Any, meaning: str, otherwise: Any = None, **constraints: Any) -> Any:
+    """Return the field of a key, whose name ends in its unit.
+
+    Args:
+        default: value of an omitted key in the study; ``...`` if it is required.
+        meaning: description, without unit and default.
+        otherwise: what an omitted key means, if ``default`` does not state it: a number, or words.
+        constraints: further arguments of pydantic's ``Field``.
+    """
+    shown = None if otherwise is None else {"default": otherwise}
+    return Field(default, description=meaning, json_schema_extra=shown, **constraints)
 
 
 ROUNDING = 1e-9
@@ -265,9 +277,14 @@ class Section(BaseModel):
     def alternatives(cls, first: str) -> Mapping[str, float]:
         """Return the keys that give a quantity, with their factors to the unit of the first."""
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
-        same = {key: info for key, info in infos.items() if info.alternative_to == first}
-        factors = {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
-        return MappingProxyType(factors)
+        keys = [first, *(key for key, info in infos.items() if info.alternative_to == first)]
+        return MappingProxyType({key: si_factor(key) / si_factor(first) for key in keys})
+
+    @classmethod
+    def otherwise(cls, key: str) -> Any:
+        """Return what an omitted key means, see `field`; None if its default states it."""
+        shown = cls.model_fields[key].json_schema_extra
+        return shown.get("default") if isinstance(shown, dict) else None
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

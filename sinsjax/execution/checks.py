@@ -20,12 +20,12 @@ from sinsjax.records.anomalies import report_anomalies
 from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
+from sinsjax.study.filter_noise import noise_ratios_by_sensor, surge_noise_ratios
 from sinsjax.study.keys import COARSE_KEYS
-from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
-from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.study import Study
 from sinsjax.study.turns import useless_methods, warn_of_resets
 from sinsjax.study.variants import Variants
+from sinsjax.value_types import keys_of
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
@@ -144,7 +144,7 @@ def describe_feedback_interval(study: Study) -> str | None:
     intervals_s: set[float] = set()
     settling_s: set[float] = set()
     level_keys = ("p0_velocity_m_per_s", "p0_level_deg")
-    r_keys = update_variance_keys(study)
+    r_keys = [key for key in keys_of(update_variance) if study.is_readable(key)]
     for point in study.combinations("method", "feedback_interval_s", *level_keys, *r_keys):
         method = METHODS[point["method"]]
         if "filter" not in method.sections or "surge" in method.sections:

@@ -261,6 +261,10 @@ class StudyKeys(Protocol):
         """Return numbers times a factor, (variants,); NaN if the key is left out."""
         ...
 
+    def si(self, key: str) -> Any:
+        """Return numbers in SI units, (variants,); NaN if the key is left out. For params only."""
+        ...
+
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
         """Return a function of the values of some keys, (variants, ...)."""
         ...

@@ -4,20 +4,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, WrapValidator
 
+from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
 from sinsjax.methods.registry import METHODS, external_names
-from sinsjax.value_types import (
-    Count,
-    Factor,
-    HalfTurn,
-    KeyCondition,
-    KeyInfo,
-    Seconds,
-    SecondsOrZero,
-    Section,
-    Speed,
-    rule_error,
-)
+from sinsjax.value_types import KeyCondition, KeyInfo, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
@@ -47,57 +37,49 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = Field("kalman5", description="see `sinsjax keys METHOD`")
-    phi_e0_deg: HalfTurn = Field(
+    method: MethodName = field("kalman5", "see `sinsjax keys METHOD`")
+    phi_e0_deg: vt.HalfTurn = field(
         0.0,
-        description="initial misalignment about east, deg; the three angles"
-        " rotate the computed to the true attitude",
+        "initial misalignment about east; the three angles rotate the computed to the true"
+        " attitude",
     )
-    phi_n0_deg: HalfTurn = Field(
+    phi_n0_deg: vt.HalfTurn = field(
         0.0,
-        description="initial misalignment about north, deg; the three angles"
-        " rotate the computed to the true attitude",
+        "initial misalignment about north; the three angles rotate the computed to the true"
+        " attitude",
     )
-    phi_u0_deg: HalfTurn = Field(
+    phi_u0_deg: vt.HalfTurn = field(
         0.0,
-        description="initial misalignment about up, the heading error, deg; the three angles"
-        " rotate the computed to the true attitude",
+        "initial misalignment about up, the heading error; the three angles rotate the computed to"
+        " the true attitude",
     )
-    misalignment: Literal["vector", "euler"] = Field(
+    misalignment: Literal["vector", "euler"] = field(
         "vector",
-        description="'vector': a rotation vector. 'euler': successive rotations about up, east and"
-        " north",
+        "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
     )
-    ve0_m_per_s: Speed = Field(
-        0.0,
-        description="initial computed east velocity, m/s; an error, since the base does not travel",
+    ve0_m_per_s: vt.Speed = field(
+        0.0, "initial computed east velocity; an error, since the base does not travel"
     )
-    vn0_m_per_s: Speed = Field(
-        0.0,
-        description="initial computed north velocity, m/s; an error, since the base does not"
-        " travel",
+    vn0_m_per_s: vt.Speed = field(
+        0.0, "initial computed north velocity; an error, since the base does not travel"
     )
-    position: Literal["fixed", "integrated"] = Field(
-        "fixed",
-        description="'fixed': constant. 'integrated': latitude and longitude from computed"
-        " velocity",
+    position: Literal["fixed", "integrated"] = field(
+        "fixed", "'fixed': constant. 'integrated': latitude and longitude from computed velocity"
     )
     specific_force: Annotated[
         Literal["measured", "gravity"] | None, KeyInfo(default="measured")
-    ] = Field(
+    ] = field(
         None,
-        description="specific force in the error model. 'measured': accelerometer output in the"
-        " computed attitude. 'gravity': that of a base at rest; default 'measured'",
+        "specific force in the error model. 'measured': accelerometer output in the computed"
+        " attitude. 'gravity': that of a base at rest",
     )
-    feedback_interval_s: Annotated[Seconds | None, KeyInfo(whole="sample")] = Field(
-        None,
-        description="interval between feedbacks into the navigation solution, s; default: one"
-        " sample",
+    feedback_interval_s: Annotated[vt.Seconds | None, KeyInfo(whole="sample")] = field(
+        None, "interval between feedbacks into the navigation solution", "one sample"
     )
-    feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
+    feedback_time_constant_s: Annotated[vt.SecondsOrZero | None, KeyInfo(default=0.0)] = field(
         None,
-        description="time constant T, s: each feedback applies 1 - exp(-interval / T) of the"
-        " estimate, all if T = 0; default 0",
+        "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
+        " 0",
     )
 
 
@@ -119,51 +101,46 @@ class PassesSection(Section):
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: Annotated[Seconds | None, KeyInfo(whole="record")] = Field(
-        None,
-        description="length of the stored record, s. Without it a run reads all data once, forward",
+    stored_s: Annotated[vt.Seconds | None, KeyInfo(whole="record")] = field(
+        None, "length of the stored record. Without it a run reads all data once, forward"
     )
-    passes: Annotated[Count, Field(ge=1)] | None = Field(
-        None,
-        description="number of passes; default: set by `ending`",
+    passes: Annotated[vt.Count, Field(ge=1)] | None = field(
+        None, "number of passes", "set by `ending`"
     )
-    ending: Literal["duration", "forward"] = Field(
+    ending: Literal["duration", "forward"] = field(
         "duration",
-        description="end of a run without `passes`. 'duration': duration_s, even within a pass."
-        " 'forward': the last complete forward pass within it",
+        "end of a run without `passes`. 'duration': duration_s, even within a pass. 'forward': the"
+        " last complete forward pass within it",
     )
-    direction: Literal["alternate", "rewind"] | None = Field(
+    direction: Literal["alternate", "rewind"] | None = field(
         None,
-        description="'alternate': every second pass backward. 'rewind': all forward, each from the"
-        " attitude propagated back to the record's start; default: 'alternate'",
+        "'alternate': every second pass backward. 'rewind': all forward, each from the attitude"
+        " propagated back to the record's start",
+        "'alternate'",
     )
     turn: Annotated[
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
         | None,
         KeyInfo(default="reflect"),
-    ] = Field(
+    ] = field(
         None,
-        description="compass states that change sign at a reversal, with the levelling"
-        " integrals. 'velocity': velocity, as in paper 2. 'reflect': velocity and"
-        " tilt, so the loops continue their motion. 'velocity_and_rate': velocity"
-        " and azimuth rate. 'velocity_drop_rate': velocity; azimuth rate becomes"
-        " zero. 'keep': none. 'restart': all become zero but the attitude; default"
-        " 'reflect'",
+        "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
+        " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
+        " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
+        " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
     )
-    turn_smoothing_s: Annotated[Seconds | None, KeyInfo(default=5.0)] = Field(
-        None,
-        description="delay of the low-pass filter on specific force for the tilt of 'reflect', s;"
-        " default 5",
+    turn_smoothing_s: Annotated[vt.Seconds | None, KeyInfo(default=5.0)] = field(
+        None, "delay of the low-pass filter on specific force for the tilt of 'reflect'"
     )
     turn_covariance: Annotated[
         Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
-    ] = Field(
+    ] = field(
         None,
-        description="P after a reversal. 'carried': unchanged. 'inflated': multiplied by"
-        " turn_inflation. 'reset': P0; default 'carried'",
+        "P after a reversal. 'carried': unchanged. 'inflated': multiplied by turn_inflation."
+        " 'reset': P0",
     )
-    turn_inflation: Annotated[Factor | None, KeyInfo(default=10.0)] = Field(
-        None, description="factor on P with 'inflated'; default 10"
+    turn_inflation: Annotated[vt.Factor | None, KeyInfo(default=10.0)] = field(
+        None, "factor on P with 'inflated'"
     )
 
 
@@ -190,16 +167,16 @@ class CoarseSection(Section):
         KeyCondition(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),
     )
 
-    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
+    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(
         "inertial",
-        description="'inertial': rotation of gravity in inertial space, for a swaying base."
-        " 'analytic': mean specific force and rate, for a base at rest; only to hand"
-        " over a record. 'optimisation': least squares of integrated velocities. 'none':"
-        " only in a simulation",
+        "'inertial': rotation of gravity in inertial space, for a swaying base. 'analytic': mean"
+        " specific force and rate, for a base at rest; only to hand over a record. 'optimisation':"
+        " least squares of integrated velocities. 'none': only in a simulation",
     )
-    coarse_duration_s: Seconds = Field(60.0, description="duration, s")
-    coarse_then: Literal["hand_over", "replay"] | None = Field(
+    coarse_duration_s: vt.Seconds = field(60.0, "duration")
+    coarse_then: Literal["hand_over", "replay"] | None = field(
         None,
-        description="'hand_over': the method starts with the data that follow. 'replay': with the"
-        " first sample, from the coarse attitude propagated back; default: 'hand_over'",
+        "'hand_over': the method starts with the data that follow. 'replay': with the first"
+        " sample, from the coarse attitude propagated back",
+        "'hand_over'",
     )

@@ -6,13 +6,13 @@ drawn key.
 """
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sinsjax.errors import InputError
 from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
-from sinsjax.toml_text import parse_toml
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
@@ -50,7 +50,7 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
         if not (place and equals and value):
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
         try:
-            changes[place] = parse_toml(f"value = {value}")["value"]
+            changes[place] = tomllib.loads(f"value = {value}")["value"]
         except ValueError:
             if _COMMA.fullmatch(value):
                 hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"

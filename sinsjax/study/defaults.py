@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from sinsjax.methods.registry import METHODS, SECTIONS_OF_METHODS, unread_keys
 from sinsjax.study.keys import (
-    EARTH_CONSTANTS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
@@ -18,6 +17,7 @@ from sinsjax.study.keys import (
     alternative_keys,
     leaf_info,
 )
+from sinsjax.study.schema import EARTH_CONSTANTS
 
 
 class GivenKeys(NamedTuple):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import tomllib
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.platform.assets import asset_path
-from sinsjax.toml_text import parse_toml
 
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
@@ -168,7 +168,7 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     """
     name = source_name(path)
     try:
-        tables = parse_toml(find_study_file(path).read_text("utf-8-sig"))
+        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(
             f"{name}: cannot be read: {error.strerror}{_similar_study_hint(path)}"

@@ -22,9 +22,9 @@ from sinsjax.methods.filters.keys import RESET_KEYS, SCHEDULE_KEYS, scheduled_re
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import check_attitude_key
+from sinsjax.study.filter_noise import check_filter_noise
 from sinsjax.study.keys import (
     COARSE_KEYS,
-    EARTH_CONSTANTS,
     KEYS,
     PASS_KEYS,
     SECTION_OF,
@@ -32,10 +32,8 @@ from sinsjax.study.keys import (
     has_effect,
     key_summary,
 )
-from sinsjax.study.measurement_noise import check_measurement_noise
-from sinsjax.study.process_noise import check_process_noise
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
-from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
+from sinsjax.study.schema import EARTH_CONSTANTS, NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turn_keys, check_turns
@@ -620,8 +618,7 @@ def _check_tune_section(study: Study, key_tables: KeyTables) -> None:
 StudyRule = Callable[[Study, KeyTables], None]
 
 PRESENCE_RULES: tuple[StudyRule, ...] = (
-    check_process_noise,
-    check_measurement_noise,
+    check_filter_noise,
     check_turn_keys,
     check_attitude_key,
 )

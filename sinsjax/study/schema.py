@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from sinsjax import columns
+from sinsjax import value_types as vt
 from sinsjax.messages import shorten
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -20,41 +22,11 @@ from sinsjax.records.layout import (
     parse_axes_order,
 )
 from sinsjax.value_types import (
-    AccelNoise,
-    Amplitude,
-    Angle,
-    AngleSigma,
-    Band,
-    Bands,
-    Bandwidth,
-    Columns,
-    Count,
-    CrossAxis,
-    Damping,
     Effect,
-    Elevation,
-    EventTimes,
-    Factor,
-    Finite,
-    GyroNoise,
-    HalfTurn,
-    IncreasingPair,
     KeyCondition,
     KeyInfo,
-    Name,
-    NoisePerAxis,
-    NonNegative,
-    Normal,
-    Numbers,
-    Period,
-    Positive,
-    ReportTimes,
-    Seconds,
-    SecondsOrZero,
     Section,
-    Starts,
-    Triad,
-    Vector,
+    field,
     key_info,
     require_unique,
     rule_error,
@@ -64,89 +36,80 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: Name = Field(description="name in reports and manifests; default: the file's stem")
-    duration_s: Seconds = Field(
-        description="length of each run, s. Includes passes and coarse alignment, unless that hands"
-        " over a record"
+    name: vt.Name = field(..., "name in reports and manifests", "the file's stem")
+    duration_s: vt.Seconds = field(
+        ...,
+        "length of each run. Includes passes and coarse alignment, unless that hands over a record",
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e6))] = Field(
+    rate_hz: Annotated[vt.Positive, KeyInfo(usual_range=(1e-3, 1e6))] = field(
         cast(float, None),
-        description="sensor sample rate, Hz. Required in a simulation and without time stamps; must"
-        " match a record's rate",
+        "sensor sample rate. Required in a simulation and without time stamps; must match a"
+        " record's rate",
     )
-    record_interval_s: Seconds = Field(
-        1.0,
-        description="interval of the record times for settling times, statistics and curves, s",
+    record_interval_s: vt.Seconds = field(
+        1.0, "interval of the record times for settling times, statistics and curves"
     )
-    draws: Annotated[Count, Field(ge=1)] | None = Field(
+    draws: Annotated[vt.Count, Field(ge=1)] | None = field(
         None,
-        description="Monte Carlo draws; the maximum with [stop_when]. A record has one per start"
-        " time; default: 64 in a simulation",
+        "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
+        "64 in a simulation",
     )
-    estimate: Literal["draws"] = Field(
-        "draws", description="how errors are found: 'draws', Monte Carlo"
+    estimate: Literal["draws"] = field("draws", "how errors are found: 'draws', Monte Carlo")
+    seed: int = field(1, "random seed", ge=0, lt=2**63)
+    settle_bands_arcmin: vt.Bands = field(
+        (60.0, 10.0, 3.0), "half-widths of the heading bands for settling times"
     )
-    seed: int = Field(1, ge=0, lt=2**63, description="random seed")
-    settle_bands_arcmin: Bands = Field(
-        (60.0, 10.0, 3.0),
-        description="half-widths of the heading bands for settling times, arcmin",
-    )
-    window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual_range=(0, 1e8))] = Field(
-        # A pydantic below 2.14 calls it even if the duration is missing or wrong.
+    window_s: Annotated[tuple[vt.NonNegative, vt.Positive], KeyInfo(usual_range=(0, 1e8))] = field(
+        ...,
+        "start and end of the window for error means and deviations",
+        "the last third of the duration",
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
-        description="start and end of the window for error means and deviations, s; default: the"
-        " last third of the duration",
     )
-    consistency_after_s: SecondsOrZero = Field(
-        10.0,
-        description="time after which p_above_error_share and p_above_floor_error_share count, s",
+    consistency_after_s: vt.SecondsOrZero = field(
+        10.0, "time after which p_above_error_share and p_above_floor_error_share count"
     )
-    steady_after_s: SecondsOrZero = Field(
-        300.0, description="time after which p_above_error_steady_share counts, s"
+    steady_after_s: vt.SecondsOrZero = field(
+        300.0, "time after which p_above_error_steady_share counts"
     )
-    curves: bool = Field(
-        False, description="whether a sweep stores errors at record times in `curves/`"
-    )
-    judged_from: Literal["truth", "floor"] | None = Field(
+    curves: bool = field(False, "whether a sweep stores errors at record times in `curves/`")
+    judged_from: Literal["truth", "floor"] | None = field(
         None,
-        description="reference for success. 'truth': true north, or the record's reference."
-        " 'floor': the bias floor; default: 'truth'",
+        "reference for success. 'truth': true north, or the record's reference. 'floor': the bias"
+        " floor",
+        "'truth'",
     )
-    success_band_arcmin: Band | None = Field(
+    success_band_arcmin: vt.Band | None = field(
+        None, "largest final heading error of a successful run", columns.SUCCESS_BAND_ARCMIN
+    )
+    level_band_arcmin: vt.Band | None = field(
         None,
-        description="largest final heading error of a successful run, arcmin; default: 10",
+        "largest final level error of a successful run, from truth plus the tilt due to"
+        " accelerometer biases",
+        columns.SUCCESS_BAND_ARCMIN,
     )
-    level_band_arcmin: Band | None = Field(
+    dwell_s: vt.SecondsOrZero | None = field(
         None,
-        description="largest final level error of a successful run, from truth plus the tilt due to"
-        " accelerometer biases, arcmin; default: 10",
+        "uninterrupted final time in the heading band that success requires",
+        "the smaller of 30 s and a tenth of the run",
     )
-    dwell_s: SecondsOrZero | None = Field(
+    diverged_deg: vt.AngleSigma | None = field(
         None,
-        description="uninterrupted final time in the heading band that success requires, s;"
-        " default: the smaller of 30 s and a tenth of the run",
+        "final heading error from the bias floor (truth without one) above which an unsuccessful"
+        " run diverged",
+        columns.DIVERGED_DEG,
     )
-    diverged_deg: AngleSigma | None = Field(
-        None,
-        description="final heading error from the bias floor (truth without one) above which an"
-        " unsuccessful run diverged, deg; default: 10",
+    report_times_s: vt.ReportTimes | None = field(
+        None, "times of heading error, sigma and NEES in the summary, from the first sample", "none"
     )
-    report_times_s: ReportTimes | None = Field(
-        None,
-        description="times of heading error, sigma and NEES in the summary, from the first sample,"
-        " s; default: none",
+    unchecked: bool | None = field(
+        None, "whether to accept values outside their usual ranges", "false"
     )
-    unchecked: bool | None = Field(
-        None, description="whether to accept values outside their usual ranges; default: false"
-    )
-    external: Annotated[tuple[Name, ...], AfterValidator(require_unique)] | None = Field(
-        None,
-        description="programs whose results `sinsjax score` stored in the study's directory;"
-        " default: none",
+    external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = field(
+        None, "programs whose results `sinsjax score` stored in the study's directory", "none"
     )
 
     @model_validator(mode="after")
@@ -172,30 +135,33 @@ class EarthSection(Section):
         ),
     )
 
-    earth: Literal["constants", "wgs84"] = Field(
+    earth: Literal["constants", "wgs84"] = field(
         "constants",
-        description="'constants': sphere with constant gravity, the next three keys, valid only"
-        " here. 'wgs84': ellipsoid with normal gravity",
+        "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
+        " ellipsoid with normal gravity",
     )
-    gravity_m_per_s2: Annotated[Positive, KeyInfo(usual_range=(9, 10.5))] | None = Field(
-        None, description="gravity, m/s^2; default 9.8"
+    gravity_m_per_s2: Annotated[vt.Positive, KeyInfo(usual_range=(9, 10.5))] | None = field(
+        None, "gravity", 9.8
     )
-    radius_m: Annotated[Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = Field(
-        None, description="radius of the sphere, m; default 6378137"
+    radius_m: Annotated[vt.Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = field(
+        None, "radius of the sphere", 6378137.0
     )
-    earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual_range=(10, 20))] | None = Field(
-        None, description="Earth rotation rate, deg/h; default 15.041067"
+    earth_rate_deg_per_h: Annotated[vt.Positive, KeyInfo(usual_range=(10, 20))] | None = field(
+        None, "Earth rotation rate", 15.041067
     )
-    latitude_deg: Elevation | None = Field(
+    latitude_deg: vt.Elevation | None = field(
         None,
-        description="latitude, positive north, deg. Required in a simulation, and if a record's"
-        " header lacks it",
+        "latitude, positive north. Required in a simulation, and if a record's header lacks it",
     )
-    height_m: Annotated[Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = Field(
-        None,
-        description="height above the ellipsoid or sphere, m; default: that in the record's header,"
-        " or 0",
+    height_m: Annotated[vt.Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = field(
+        None, "height above the ellipsoid or sphere", "that in the record's header, or 0"
     )
+
+
+EARTH_CONSTANTS: dict[str, float] = {
+    key: EarthSection.otherwise(key) for key in EarthSection.conditions[0].keys
+}
+"""Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
 
 def _any_nonzero(*values: Any) -> bool:
@@ -258,97 +224,83 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, positive front up, deg")
-    pitch_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    pitch_period_s: Period = Field(
-        10.0, description="period, s; default: required with an amplitude"
-    )
-    pitch_phase_deg: Angle = Field(0.0, description="phase, deg")
-    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, positive right side down, deg")
-    roll_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    roll_period_s: Period = Field(
-        10.0, description="period, s; default: required with an amplitude"
-    )
-    roll_phase_deg: Angle = Field(0.0, description="phase, deg")
-    yaw_center_deg: Angle | None = Field(
+    pitch_center_deg: vt.Elevation = field(0.0, "mean pitch, positive front up")
+    pitch_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
+    pitch_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
+    pitch_phase_deg: vt.Angle = field(0.0, "phase")
+    roll_center_deg: vt.HalfTurn = field(0.0, "mean roll, positive right side down")
+    roll_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
+    roll_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
+    roll_phase_deg: vt.Angle = field(0.0, "phase")
+    yaw_center_deg: vt.Angle | None = field(
         None,
-        description="mean yaw, deg, counter-clockwise from north (minus heading). Required in a"
-        " simulation without attitude_file",
+        "mean yaw, counter-clockwise from north (minus heading). Required in a simulation without"
+        " attitude_file",
     )
-    yaw_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    yaw_period_s: Period = Field(10.0, description="period, s; default: required with an amplitude")
-    yaw_phase_deg: Angle = Field(0.0, description="phase, deg")
-    lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
-        0.0,
-        description="lever arm (right, front, up) to the sensors from the centre of sway on the"
-        " turn axis, m",
+    yaw_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
+    yaw_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
+    yaw_phase_deg: vt.Angle = field(0.0, "phase")
+    lever_arm_m: Annotated[vt.Vector, KeyInfo(usual_range=(-1e3, 1e3))] = field(
+        0.0, "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis"
     )
-    turn_times_s: EventTimes | None = Field(
+    turn_times_s: vt.EventTimes | None = field(
+        None, "start times of turns from the first sample, rounded to whole samples", "no turns"
+    )
+    turn_angles_deg: Annotated[vt.Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = field(
         None,
-        description="start times of turns from the first sample, rounded to whole samples, s;"
-        " default: no turns",
+        "turn angles, positive counter-clockwise from above: one for all or per turn. An"
+        " unfinished turn continues to the end: 1e6 for a carousel",
+        180.0,
     )
-    turn_angles_deg: Annotated[Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = Field(
+    turn_rate_deg_per_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = field(
+        None, "turn rate, adjusted to whole samples per turn", 10.0
+    )
+    turn_ramp_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = field(
+        None, "time to reach the turn rate, and to stop", 1.0
+    )
+    turn_repeat_s: vt.Seconds | None = field(
+        None, "interval at which turns repeat until the end", "no repetition"
+    )
+    turn_axis: Literal["vertical", "body"] | None = field(
         None,
-        description="turn angles, positive counter-clockwise from above, deg: one for all or per"
-        " turn. An unfinished turn continues to the end: 1e6 for a carousel; default:"
-        " 180",
+        "'vertical': the vehicle turns, with its pitch and roll axes. 'body': a turntable on the"
+        " swaying vehicle turns the sensors about z",
+        "'vertical'",
     )
-    turn_rate_deg_per_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = Field(
+    attitude_file: vt.Name | None = field(
         None,
-        description="turn rate, adjusted to whole samples per turn, deg/s; default: 10",
+        "text or Parquet file instead of angles and turns, with time_s, pitch_deg, roll_deg and"
+        " yaw_deg (or heading_deg), interpolated by cubic splines; smooth noisy data first. Cannot"
+        " be swept",
+        "none",
     )
-    turn_ramp_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = Field(
-        None, description="time to reach the turn rate, and to stop, s; default: 1"
+    surge_m_per_s: Annotated[vt.NoisePerAxis, acting("process", 0, 100)] = field(
+        0.0, "rms velocity of surge, random motion about a fixed place, along east, north, up"
     )
-    turn_repeat_s: Seconds | None = Field(
-        None,
-        description="interval at which turns repeat until the end, s; default: no repetition",
+    surge_time_s: Annotated[vt.Period, acting("process_shape")] = field(
+        5.0, "correlation time of the surge velocity"
     )
-    turn_axis: Literal["vertical", "body"] | None = Field(
-        None,
-        description="'vertical': the vehicle turns, with its pitch and roll axes. 'body': a"
-        " turntable on the swaying vehicle turns the sensors about z; default:"
-        " 'vertical'",
+    surge_bandwidth_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
+        1.0, "surge bandwidth, which limits acceleration; only for 'third_order'"
     )
-    attitude_file: Name | None = Field(
-        None,
-        description="text or Parquet file instead of angles and turns, with time_s, pitch_deg,"
-        " roll_deg and yaw_deg (or heading_deg), interpolated by cubic splines; smooth"
-        " noisy data first. Cannot be swept; default: none",
-    )
-    surge_m_per_s: Annotated[NoisePerAxis, acting("process", 0, 100)] = Field(
-        0.0,
-        description="rms velocity of surge, random motion about a fixed place, along east,"
-        " north, up, m/s",
-    )
-    surge_time_s: Annotated[Period, acting("process_shape")] = Field(
-        5.0, description="correlation time of the surge velocity, s"
-    )
-    surge_bandwidth_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
-        1.0,
-        description="surge bandwidth, which limits acceleration, Hz; only for 'third_order'",
-    )
-    surge_model: Literal["third_order", "gauss_markov"] = Field(
+    surge_model: Literal["third_order", "gauss_markov"] = field(
         "third_order",
-        description="'third_order': finite variances of position, velocity and acceleration."
-        " 'gauss_markov': first-order Gauss-Markov velocity; acceleration grows with"
-        " sample rate",
+        "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
+        " first-order Gauss-Markov velocity; acceleration grows with sample rate",
     )
-    vibration_ug_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
+    vibration_ug_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
+        0.0, "linear vibration of the sensors' housing along right, front, up"
+    )
+    vibration_deg_per_h_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
         0.0,
-        description="linear vibration of the sensors' housing along right, front, up, ug rms",
+        "angular vibration of the sensors' housing about right, front, up. The true attitude is"
+        " that of the housing",
     )
-    vibration_deg_per_h_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
-        0.0,
-        description="angular vibration of the sensors' housing about right, front, up, deg/h rms."
-        " The true attitude is that of the housing",
+    vibration_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
+        30.0, "undamped natural frequency of vibration"
     )
-    vibration_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
-        30.0, description="undamped natural frequency of vibration, Hz"
-    )
-    vibration_damping: Annotated[Damping, acting("process_shape")] = Field(
-        0.05, description="damping ratio of vibration"
+    vibration_damping: Annotated[vt.Damping, acting("process_shape")] = field(
+        0.05, "damping ratio of vibration"
     )
 
 
@@ -360,83 +312,69 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[Vector, acting("bias", -1e5, 1e5)] = Field(
-        0.0, description="constant bias, measured minus true, deg/h"
+    gyro_bias_deg_per_h: Annotated[vt.Vector, acting("bias", -1e5, 1e5)] = field(
+        0.0, "constant bias, measured minus true"
     )
-    gyro_noise_deg_per_h: Annotated[NoisePerAxis, acting("noise", 0, 1e6)] | None = Field(
-        None,
-        description="white noise sigma of one sample, deg/h; alternative to the random walk;"
-        " default: no noise",
+    gyro_noise_deg_per_h: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e6)] | None = field(
+        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
     )
     gyro_arw_deg_per_sqrt_h: Annotated[
-        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
+        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
         KeyInfo(acts_as="noise", alternative_to="gyro_noise_deg_per_h"),
-    ] = Field(
-        None,
-        description="angle or velocity random walk, deg/sqrt(h); alternative to the noise",
-    )
-    gyro_instability_deg_per_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
+    ] = field(None, "angle or velocity random walk; alternative to the noise")
+    gyro_instability_deg_per_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
         0.0,
-        description="rms bias instability, first-order Gauss-Markov, deg/h; its Allan deviation is"
-        " at most 0.617 of it",
+        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
+        " it",
     )
-    gyro_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
-        300.0, description="correlation time of the bias instability, s"
+    gyro_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
+        300.0, "correlation time of the bias instability"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
-        0.0, description="rate or acceleration random walk, zero at the first sample, deg/h/sqrt(h)"
+    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
+        0.0, "rate or acceleration random walk, zero at the first sample"
     )
-    gyro_quantisation_arcsec: Annotated[NoisePerAxis, acting("quantum", 0, 1e4)] = Field(
+    gyro_quantisation_arcsec: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e4)] = field(
+        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
+    )
+    gyro_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
+        0.0, "scale factor error"
+    )
+    gyro_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
         0.0,
-        description="resolution of angle or velocity output, arcsec; remainders carry over to the"
-        " next sample",
+        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
+        " x senses",
     )
-    gyro_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
-        0.0, description="scale factor error, ppm"
+    accel_bias_ug: Annotated[vt.Vector, acting("bias", -1e6, 1e6)] = field(
+        0.0, "constant bias, measured minus true"
     )
-    gyro_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
-        0.0,
-        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
-        " input that sensor x senses",
-    )
-    accel_bias_ug: Annotated[Vector, acting("bias", -1e6, 1e6)] = Field(
-        0.0, description="constant bias, measured minus true, ug"
-    )
-    accel_noise_ug: Annotated[NoisePerAxis, acting("noise", 0, 1e7)] | None = Field(
-        None,
-        description="white noise sigma of one sample, ug; alternative to the random walk; default:"
-        " no noise",
+    accel_noise_ug: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e7)] | None = field(
+        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
     )
     accel_vrw_ug_per_sqrt_hz: Annotated[
-        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
+        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
         KeyInfo(acts_as="noise", alternative_to="accel_noise_ug"),
-    ] = Field(
-        None,
-        description="angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
-    )
-    accel_instability_ug: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
+    ] = field(None, "angle or velocity random walk; alternative to the noise")
+    accel_instability_ug: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
         0.0,
-        description="rms bias instability, first-order Gauss-Markov, ug; its Allan deviation is at"
-        " most 0.617 of it",
+        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
+        " it",
     )
-    accel_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
-        300.0, description="correlation time of the bias instability, s"
+    accel_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
+        300.0, "correlation time of the bias instability"
     )
-    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
-        0.0, description="rate or acceleration random walk, zero at the first sample, ug/sqrt(h)"
+    accel_rrw_ug_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
+        0.0, "rate or acceleration random walk, zero at the first sample"
     )
-    accel_quantisation_um_per_s: Annotated[NoisePerAxis, acting("quantum", 0, 1e6)] = Field(
+    accel_quantisation_um_per_s: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e6)] = field(
+        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
+    )
+    accel_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
+        0.0, "scale factor error"
+    )
+    accel_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
         0.0,
-        description="resolution of angle or velocity output, um/s; remainders carry over to the"
-        " next sample",
-    )
-    accel_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
-        0.0, description="scale factor error, ppm"
-    )
-    accel_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
-        0.0,
-        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
-        " input that sensor x senses",
+        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
+        " x senses",
     )
 
 
@@ -460,104 +398,90 @@ _COLUMN_KEYS = (
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
-    format: Literal["psins", "csv", "parquet", "arrays"] = Field(
-        description="format of the record. 'csv': text with a header line. 'parquet': Apache"
-        " Parquet. 'psins': PSINS text. 'arrays': Python arrays. The last two fix"
-        " columns and units, 'arrays' also axes"
+    format: Literal["psins", "csv", "parquet", "arrays"] = field(
+        ...,
+        "format of the record. 'csv': text with a header line. 'parquet': Apache Parquet. 'psins':"
+        " PSINS text. 'arrays': Python arrays. The last two fix columns and units, 'arrays' also"
+        " axes",
     )
-    from_s: SecondsOrZero | None = Field(
+    from_s: vt.SecondsOrZero | None = field(
+        None, "start and end of the used part, from the record's beginning", "its beginning"
+    )
+    to_s: vt.Seconds | None = field(
+        None, "start and end of the used part, from the record's beginning", "its end"
+    )
+    columns: vt.Columns | None = field(
         None,
-        description="start and end of the used part, s, from the record's beginning; default: its"
-        " beginning",
+        "column names of a text file without them",
+        "those in the file, or column_1, column_2, ...",
     )
-    to_s: Seconds | None = Field(
+    skip_rows: vt.Count | None = field(
+        None, "lines of a text file before its column names or samples", "0"
+    )
+    quantity: Literal["increments", "rates"] | None = field(
         None,
-        description="start and end of the used part, s, from the record's beginning; default: its"
-        " end",
+        "sensor columns: 'increments' (integrals over each sample) or 'rates' (means)",
+        "by the units",
     )
-    columns: Columns | None = Field(
-        None,
-        description="column names of a text file without them; default: those in the file, or"
-        " column_1, column_2, ...",
+    time_column: str | None = field(
+        None, "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
     )
-    skip_rows: Count | None = Field(
-        None, description="lines of a text file before its column names or samples; default: 0"
+    time_fraction_column: vt.Name | None = field(
+        None, "column of the fraction of a second that time_column lacks, such as nsecs"
     )
-    quantity: Literal["increments", "rates"] | None = Field(
-        None,
-        description="sensor columns: 'increments' (integrals over each sample) or 'rates' (means);"
-        " default: by the units",
+    time_fraction_unit: Literal["ms", "us", "ns"] | None = field(
+        None, "unit of time_fraction_column: 'ms', 'us' or 'ns'", "'ns'"
     )
-    time_column: str | None = Field(
-        None,
-        description="column of time stamps, at the end of each sample. Without it rate_hz gives"
-        " the times",
-    )
-    time_fraction_column: Name | None = Field(
-        None, description="column of the fraction of a second that time_column lacks, such as nsecs"
-    )
-    time_fraction_unit: Literal["ms", "us", "ns"] | None = Field(
-        None, description="unit of time_fraction_column: 'ms', 'us' or 'ns'; default: 'ns'"
-    )
-    gyro_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
-    accel_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
+    gyro_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
+    accel_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
-        Field(
+        field(
             None,
-            description="unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s',"
-            " 'deg_per_s', 'deg_per_h'",
+            "unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s', 'deg_per_s',"
+            " 'deg_per_h'",
         )
     )
-    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
-        None,
-        description="unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg',"
-        " 'ug'",
+    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
+        None, "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
-        None,
-        description="multiplier for all columns, or per column: one count in the unit, or -1;"
-        " default: 1",
+    gyro_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
+        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
     )
-    accel_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
-        None,
-        description="multiplier for all columns, or per column: one count in the unit, or -1;"
-        " default: 1",
+    accel_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
+        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
     )
-    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
+    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
         "xyz",
-        description="record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up."
-        " Or directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
+        "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
+        " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
     )
-    mounting_deg: tuple[Angle, Angle, Angle] | None = Field(
+    mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
         None,
-        description="attitude of the IMU (after axes_order) in the vehicle, deg: pitch, roll,"
-        " counter-clockwise yaw. Attitudes are then the vehicle's; default: 0, 0, 0",
+        "attitude of the IMU (after axes_order) in the vehicle: pitch, roll, counter-clockwise"
+        " yaw. Attitudes are then the vehicle's",
+        "0, 0, 0",
     )
-    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
+    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
         None,
-        description="time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of"
-        " day; default: 's'",
+        "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of day",
+        "'s'",
     )
-    time_scale: Factor | None = Field(None, description="multiplier of the time stamps; default: 1")
-    start_s: Starts = Field(
+    time_scale: vt.Factor | None = field(None, "multiplier of the time stamps", "1")
+    start_s: vt.Starts = field(
+        ...,
+        "start times, coarse alignment included, one per draw, from the record's beginning",
+        "from_s, else 0",
         default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times, coarse alignment included, one per draw, s, from the record's"
-        " beginning; default: from_s, else 0",
     )
-    max_gap_s: SecondsOrZero | None = Field(
-        None,
-        description="longest gap between good samples that is interpolated, s; default: 0",
+    max_gap_s: vt.SecondsOrZero | None = field(
+        None, "longest gap between good samples that is interpolated", "0"
     )
-    gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None,
-        description="largest bias that the check accepts, deg/h; default: 10 or with low noise 4.5",
+    gyro_bias_deg_per_h: vt.GyroNoise | None = field(
+        None, "largest bias that the check accepts", "10 or with low noise 4.5"
     )
-    accel_bias_ug: AccelNoise | None = Field(
-        None,
-        description="largest bias that the check accepts, ug; default: 5000",
-    )
-    trust: bool | None = Field(
-        None, description="whether to align despite errors that the check finds; default: false"
+    accel_bias_ug: vt.AccelNoise | None = field(None, "largest bias that the check accepts", "5000")
+    trust: bool | None = field(
+        None, "whether to align despite errors that the check finds", "false"
     )
 
     @model_validator(mode="after")
@@ -660,12 +584,11 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: IncreasingPair | None = Field(None, description="[low, high]")
-    normal: Normal | None = Field(None, description="[mean, standard deviation]")
-    values: ListEntries | None = Field(None, description="one per draw, repeated from the first")
-    grid: ListEntries | None = Field(
-        None,
-        description="grid values; the draws are the product of all grids, the last key fastest",
+    uniform: vt.IncreasingPair | None = field(None, "[low, high]")
+    normal: vt.Normal | None = field(None, "[mean, standard deviation]")
+    values: ListEntries | None = field(None, "one per draw, repeated from the first")
+    grid: ListEntries | None = field(
+        None, "grid values; the draws are the product of all grids, the last key fastest"
     )
 
     @property
@@ -687,10 +610,9 @@ class DrawnSection(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
-    sampling: Literal["random", "sobol"] = Field(
+    sampling: Literal["random", "sobol"] = field(
         "random",
-        description="'random': independent numbers. 'sobol': scrambled Sobol points of all drawn"
-        " keys together",
+        "'random': independent numbers. 'sobol': scrambled Sobol points of all drawn keys together",
     )
 
     @property
@@ -702,31 +624,31 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: Seconds = Field(
-        300.0, description="available alignment time, s: whole seconds, 10 to 7200"
+    time_s: vt.Seconds = field(300.0, "available alignment time: whole seconds, 10 to 7200")
+    wanted_deg: vt.AngleSigma | None = field(
+        None, "heading error that 95 % of alignments must not exceed"
     )
-    wanted_deg: AngleSigma | None = Field(
-        None, description="heading error that 95 % of alignments must not exceed, deg"
-    )
-    known_heading_deg: AngleSigma | None = Field(
-        None, description="1 sigma of prior heading knowledge, deg; default: nothing is known"
+    known_heading_deg: vt.AngleSigma | None = field(
+        None, "1 sigma of prior heading knowledge", "nothing is known"
     )
 
 
 class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
-    statistic: Name = Field(
-        description="'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin;"
-        " both follow judged_from"
+    statistic: vt.Name = field(
+        ...,
+        "'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin; both follow"
+        " judged_from",
     )
-    half_width: Positive = Field(
-        description="half-width of its 95 % interval, in the variant where it is widest, that ends"
-        " the study: a fraction for 'success_rate', else s"
+    half_width: vt.Positive = field(
+        ...,
+        "half-width of its 95 % interval, in the variant where it is widest, that ends the study:"
+        " a fraction for 'success_rate', else s",
     )
 
 
-Some = Annotated[Count, Field(ge=1)]
+Some = Annotated[vt.Count, Field(ge=1)]
 Searches = Annotated[
     tuple[Literal["grid", "sobol", "gradient"], ...],
     Field(min_length=1),
@@ -737,14 +659,13 @@ Searches = Annotated[
 class Range(Section):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: Finite | None = Field(None, description="ends of the range")
-    high: Finite | None = Field(None, description="ends of the range")
-    scale: Literal["linear", "log"] | None = Field(
-        None,
-        description="spacing of the values: 'linear', or 'log' for equal ratios; default: 'linear'",
+    low: vt.Finite | None = field(None, "ends of the range")
+    high: vt.Finite | None = field(None, "ends of the range")
+    scale: Literal["linear", "log"] | None = field(
+        None, "spacing of the values: 'linear', or 'log' for equal ratios", "'linear'"
     )
-    fixed: Any = Field(None, description="single value")
-    candidates: ListEntries | None = Field(None, description="values to try")
+    fixed: Any = field(None, "single value")
+    candidates: ListEntries | None = field(None, "values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -774,65 +695,61 @@ class Range(Section):
 class TuneSection(Section):
     """[tune]: objective, variables and searches of `sinsjax tune`."""
 
-    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
+    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = field(
         "settle_mean",
-        description="'settle_mean': mean settling time, unsettled runs counting with their length."
-        " 'settle_quantile': its quantile. 'final_error': rms final heading error."
-        " 'failure_rate': fraction of unsettled runs",
+        "'settle_mean': mean settling time, unsettled runs counting with their length."
+        " 'settle_quantile': its quantile. 'final_error': rms final heading error. 'failure_rate':"
+        " fraction of unsettled runs",
     )
-    objective_band_arcmin: Band = Field(
-        10.0,
-        description="heading band, arcmin: one of settle_bands_arcmin, or the success band",
+    objective_band_arcmin: vt.Band = field(
+        10.0, "heading band: one of settle_bands_arcmin, or the success band"
     )
-    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="quantile for 'settle_quantile'"
+    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = field(
+        0.9, "quantile for 'settle_quantile'"
     )
-    objective_across: Literal["mean", "worst"] = Field(
-        "mean", description="objective over several variants: 'mean' or 'worst'"
+    objective_across: Literal["mean", "worst"] = field(
+        "mean", "objective over several variants: 'mean' or 'worst'"
     )
-    searches: Searches = Field(
+    searches: Searches = field(
         ("grid", "gradient"),
-        description="'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times"
-        " are tuned, each also evaluates the reset law's schedule",
+        "'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times are tuned,"
+        " each also evaluates the reset law's schedule",
     )
-    tune_draws: Some | None = Field(
+    tune_draws: Some | None = field(
         None,
-        description="draws for searches; in a recorded study every second start time; default: 16"
-        " in a simulation",
+        "draws for searches; in a recorded study every second start time",
+        "16 in a simulation",
     )
-    evaluation_draws: Some | None = Field(
+    evaluation_draws: Some | None = field(
         None,
-        description="other draws, to compare the best points with the baseline; in a recorded study"
-        " the other start times; default: 64 in a simulation",
+        "other draws, to compare the best points with the baseline; in a recorded study the other"
+        " start times",
+        "64 in a simulation",
     )
-    grid_points: Annotated[Count, Field(ge=2)] = Field(
-        15, description="points per variable of a 'grid' search; at most two variables"
+    grid_points: Annotated[vt.Count, Field(ge=2)] = field(
+        15, "points per variable of a 'grid' search; at most two variables"
     )
-    sobol_points: Some = Field(
-        256, description="points of a 'sobol' search per combination of candidates"
-    )
-    descent_screen: Some = Field(
+    sobol_points: Some = field(256, "points of a 'sobol' search per combination of candidates")
+    descent_screen: Some = field(
         16,
-        description="Sobol points evaluated before the descents, which start from the best; on"
-        " `descent_draws` draws",
+        "Sobol points evaluated before the descents, which start from the best; on `descent_draws`"
+        " draws",
     )
-    descent_starts: Some = Field(4, description="parallel descents")
-    descent_steps: Some = Field(16, description="steps of a descent")
-    descent_draws: Some = Field(4, description="new draws per step")
-    descent_rate: Positive = Field(0.1, description="Adam learning rate, in lengths of the ranges")
-    relaxed_window_s: tuple[Seconds, Seconds] = Field(
+    descent_starts: Some = field(4, "parallel descents")
+    descent_steps: Some = field(16, "steps of a descent")
+    descent_draws: Some = field(4, "new draws per step")
+    descent_rate: vt.Positive = field(0.1, "Adam learning rate, in lengths of the ranges")
+    relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
         (4.0, 1.0),
-        description="half-widths of smooth reset windows at the first and last step, s; only if a"
-        " variable moves a reset",
+        "half-widths of smooth reset windows at the first and last step; only if a variable moves"
+        " a reset",
     )
-    relaxed_sharpness: tuple[Positive, Positive] = Field(
-        (6.0, 16.0),
-        description="sharpness of the smooth heading band edge at the first and last step",
+    relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
+        (6.0, 16.0), "sharpness of the smooth heading band edge at the first and last step"
     )
-    variables: dict[str, Range | tuple[Range, ...]] = Field(
-        description="tuned keys with their ranges, the table [tune.variables]"
+    variables: dict[str, Range | tuple[Range, ...]] = field(
+        ..., "tuned keys with their ranges, the table [tune.variables]"
     )
-    baseline: dict[str, Any] = Field(
-        default={},
-        description="values to compare with, the table [tune.baseline]; default: the study's",
+    baseline: dict[str, Any] = field(
+        {}, "values to compare with, the table [tune.baseline]", "the study's"
     )

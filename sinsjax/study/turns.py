@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.schema import TURN_KEYS
+from sinsjax.study.schema import TURN_KEYS, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.units import DEG
 from sinsjax.value_types import ROUNDING
@@ -15,7 +15,10 @@ from sinsjax.value_types import ROUNDING
 MOST_TURN_PER_SAMPLE = 0.1
 """Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
 
-DEFAULTS = {"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 10.0, "turn_ramp_s": 1.0}
+DEFAULTS = {
+    key: MotionSection.otherwise(key)
+    for key in ("turn_angles_deg", "turn_rate_deg_per_s", "turn_ramp_s")
+}
 """Defaults of a study with turns."""
 
 

@@ -14,6 +14,7 @@ from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
 from sinsjax.study.turns import data_end_s
+from sinsjax.units import si_factor
 
 Lookup = Callable[[str], Any]
 """Function of a key that returns its common value in all variants of a part, or its draws."""
@@ -96,6 +97,10 @@ class Variants:
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
+
+    def si(self, key: str) -> np.ndarray:
+        """Return the values of a numeric key in SI units, (variants,); zeros for a drawn key."""
+        return self.column(key, si_factor(key, self.micro_g))
 
     def rms(self, key: str) -> np.ndarray:
         """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
