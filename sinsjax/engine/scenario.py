@@ -123,7 +123,10 @@ class Scenario:
         for number in range(len(self.variant_ids)):
             keys = self.keys(number)
             if check := METHODS[keys.common("method")].check:
-                check(keys)
+                try:
+                    check(keys)
+                except InputError as error:
+                    raise error.with_source(study.name) from None
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""

@@ -1,7 +1,6 @@
 """The file of a simulated base's attitude: reading, identity, and the rules of its key."""
 
 import hashlib
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -87,7 +86,7 @@ def _digest(name: str, time_ns: int, size: int) -> str:
     return hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
 
 
-def check_attitude_key(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_attitude_key(study: Study) -> None:
     """Refuse angles, turns and drawn motion together with a file of the attitude."""
     if attitude_file(study) is None:
         return
@@ -96,8 +95,8 @@ def check_attitude_key(study: Study, key_tables: Mapping[str, str]) -> None:
         drawn = key in study.drawn_keys
         if drawn or any(point[key] != fields[key].default for point in study.combinations(key)):
             text = f"conflicts with {KEY} in [motion], which gives all angles (drop one of them)"
-            raise InputError(f"{key_tables.get(key, '[motion]')} {key}: {text}")
+            study.refuse(key, text)
     for key in study.drawn_keys:
         if key in EarthSection.model_fields or key in fields:
             text = f"cannot be drawn with {KEY} in [motion] (give it one value, or sweep it)"
-            raise InputError(f"[drawn] {key}: {text}")
+            study.refuse(key, text)

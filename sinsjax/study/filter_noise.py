@@ -1,10 +1,8 @@
 """Q and R of a filter: by their keys, or by the white noise of the sensors and the surge."""
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 
-from sinsjax.errors import InputError
+from sinsjax.errors import ErrorCollector
 from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
@@ -21,26 +19,17 @@ from sinsjax.value_types import keys_of
 _NOISES = (ACCEL_NOISE, GYRO_NOISE)
 
 
-def check_filter_noise(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_filter_noise(study: Study) -> None:
     """Refuse a Q without its unit, a unit without Q, and a study that determines no Q or R.
-
-    Args:
-        study: checked study.
-        key_tables: the table, in brackets, of each key that the file gives.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
-    if study.has("filter"):
-        errors = [
-            *_iter_q_unit_errors(study, key_tables),
-            *_iter_missing_q_errors(study, key_tables),
-            *_iter_missing_r_errors(study, key_tables),
-        ]
-        if errors:
-            raise InputError(
-                *(f"{key_tables.get(key, '[filter]')} {key}: {text}" for key, text in errors)
-            )
+    errors, checks = ErrorCollector(), (_check_q_unit, _check_missing_q, _check_missing_r)
+    for check in checks if study.has("filter") else ():
+        with errors.collect():
+            check(study)
+    errors.raise_all()
 
 
 def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
@@ -96,43 +85,49 @@ def _takes_surge_for_noise(method: str) -> bool:
     return "filter" in sections and "surge" not in sections
 
 
-def _iter_q_unit_errors(study: Study, key_tables: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    forms = [key for noise in _NOISES for key in noise.forms if key in key_tables]
+def _check_q_unit(study: Study) -> None:
+    keys = [key for noise in _NOISES for key in noise.forms]
+    forms = [key for key in keys if study.gives(key)]
     given = [noise.key for noise in _NOISES if noise.key in forms]
     densities = [key for key in forms if key not in given]
-    readings = {point["q_reading"] for point in study.combinations("q_reading")}
-    if forms and "q_reading" not in key_tables:
+    points = list(study.combinations("q_reading", *keys))
+    units = {point["q_reading"] for point in points}
+    has_none = [
+        p for p in points if p["q_reading"] is None and any(p[key] is not None for key in keys)
+    ]
+    if has_none:
         reason = "give 'psd', the only one for a density"
         if not densities:
             reason = "give 'psd', 'per_sample' or 'per_step', which was the default before"
-        yield "q_reading", f"required with {' and '.join([*given, *densities])} ({reason})"
-    elif densities and (other_units := readings - {"psd"}):
-        yield densities[0], f"requires q_reading = 'psd', not '{min(other_units)}'"
-    elif not given and (other_units := readings - {"psd", None}):
+        names = " and ".join([*given, *densities])
+        study.refuse("q_reading", f"required with {names} ({reason})")
+    if densities and (others := units - {"psd", None}):
+        study.refuse(densities[0], f"requires q_reading = 'psd', not '{min(others)}'")
+    if not given and (others := units - {"psd", None}):
         reason = "drop it: without q_ keys Q is the white noise of the study's sensors"
-        yield "q_reading", f"'{min(other_units)}' needs q_ keys, and none is given ({reason})"
+        text = f"'{min(others)}' needs q_ keys, and none is given ({reason})"
+        study.refuse("q_reading", text)
 
 
-def _iter_missing_q_errors(
-    study: Study, key_tables: Mapping[str, str]
-) -> Iterator[tuple[str, str]]:
+def _check_missing_q(study: Study) -> None:
+    errors = ErrorCollector()
     for noise in _NOISES:
-        if key_tables.keys().isdisjoint(noise.forms):
-            if reason := _missing_noise_reason(study, noise):
-                hint = f"give {[*noise.forms][-1]} from the data sheet, with q_reading = 'psd'"
-                yield noise.key, f"required ({reason}; {hint})"
+        if reason := _missing_noise_reason(study, noise):
+            hint = f"give {[*noise.forms][-1]} from the data sheet, with q_reading = 'psd'"
+            with errors.collect():
+                study.refuse(noise.key, f"required ({reason}; {hint})")
+    errors.raise_all()
 
 
 def _missing_noise_reason(study: Study, noise: ProcessNoise) -> str | None:
     """Return the reason why the sensors do not determine Q, as text; None if they do."""
-    reading, sensor_keys = reading_methods(noise.key), keys_of(noise.density)
-    if study.is_recorded:
-        if {*study.methods}.isdisjoint(reading):
-            return None
-        return f"a record does not give the noise of its {noise.sensors}"
-    for point in study.combinations("method", *sensor_keys):
-        if point["method"] not in reading:
+    sensor_keys = () if study.is_recorded else keys_of(noise.density)
+    for point in study.combinations("method", *noise.forms, *sensor_keys):
+        given = any(point[key] is not None for key in noise.forms)
+        if given or point["method"] not in reading_methods(noise.key):
             continue
+        if study.is_recorded:
+            return f"a record does not give the noise of its {noise.sensors}"
         for key in sensor_keys:
             if key in study.drawn_keys:
                 return f"{key} is drawn, but the filter has the same Q in all draws"
@@ -141,17 +136,15 @@ def _missing_noise_reason(study: Study, noise: ProcessNoise) -> str | None:
     return None
 
 
-def _iter_missing_r_errors(
-    study: Study, key_tables: Mapping[str, str]
-) -> Iterator[tuple[str, str]]:
-    """Yield the error of an omitted R that would follow a surge that draws vary."""
+def _check_missing_r(study: Study) -> None:
+    """Refuse an omitted R that would follow a surge that draws vary."""
     surge_keys = keys_of(surge_density)
     drawn = [key for key in surge_keys if key in study.drawn_keys]
-    if not drawn or study.is_recorded or "r_velocity_m_per_s" in key_tables:
+    if not drawn or study.is_recorded:
         return
-    for point in study.combinations("method", *surge_keys):
+    for point in study.combinations("method", "r_velocity_m_per_s", *surge_keys):
         is_still = point["surge_m_per_s"] is not None and not np.any(point["surge_m_per_s"])
-        if not is_still and _takes_surge_for_noise(point["method"]):
+        follows = point["r_velocity_m_per_s"] is None and _takes_surge_for_noise(point["method"])
+        if follows and not is_still:
             text = f"required ({drawn[0]} is drawn, but the filter has the same R in all draws)"
-            yield "r_velocity_m_per_s", text
-            return
+            study.refuse("r_velocity_m_per_s", text)

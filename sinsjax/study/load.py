@@ -277,8 +277,9 @@ def _build_study(data: TomlTable, name: str) -> Study:
     with errors.collect():
         study = _validate_sections(sections | sweep.for_study)
     errors.raise_all()
-    if lines := rules.broken_rules(study, key_tables):
-        raise InputError(*lines)
+    for section, values in defaults.items():  # which the file does not give
+        getattr(study, section).model_fields_set.difference_update(values)
+    rules.check_rules(study)
     return study
 
 
@@ -388,7 +389,7 @@ def _unknown_key_text(key: str, section: str) -> str:
     return text
 
 
-def _check_alternatives(key_tables: rules.KeyTables) -> None:
+def _check_alternatives(key_tables: Mapping[str, str]) -> None:
     """Refuse two keys that are alternatives; each case may have another one."""
     lines: list[str] = []
     reported: set[str] = set()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
@@ -487,6 +487,40 @@ class Study(_SectionsOfMethods):
                 listed[key] = values
         axes = dict([*numeric.items()][:2] or [*listed.items()][:1])
         return axes, [key for key in self.keys_shown if key not in axes]
+
+    def given_in(self, key: str) -> str | None:
+        """Return the table, in brackets, that gives, sweeps or draws a key; None if none does."""
+        section = SECTION_OF[key]
+        if key in self.drawn_keys:
+            return "[drawn]"
+        if self.cases and key in self.cases[0]:
+            return "[cases]"
+        for name, keys in self.zips.items():
+            if key in keys:
+                return f"[axes.{name}]"
+        if key in self.axes:
+            return "[axes]"
+        values = getattr(self, section)
+        return f"[{section}]" if values and key in values.model_fields_set else None
+
+    def gives(self, *keys: str) -> bool:
+        """Return whether it gives, sweeps or draws one of some keys, instead of its default."""
+        return any(self.given_in(key) for key in keys)
+
+    def refuse(self, key: str, text: str) -> NoReturn:
+        """Raise the error of a key: ``[table] key: what is wrong (way on)``."""
+        raise InputError(f"{self.given_in(key) or f'[{SECTION_OF[key]}]'} {key}: {text}")
+
+    @property
+    def end(self) -> str:
+        """The end of the study and of its shortest run, in words."""
+        text = f"duration_s = {self.duration_s:.12g}"
+        whole_s = self.duration_s - self.dropped_s
+        if self.dropped_s:
+            text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
+        if self.run_s < whole_s * (1 - ROUNDING):
+            text += f"; the shortest run ends at {self.run_s:.12g} s"
+        return text
 
     def single_value(self, key: str) -> Any:
         """Return the one value of a key.

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TURN_KEYS, MotionSection
@@ -171,17 +170,14 @@ def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
     return turns_in_samples(study.rate_hz, data_end_s(study), point)
 
 
-def check_turn_keys(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_turn_keys(study: Study) -> None:
     """Refuse keys of turns in a study without turns."""
-    if "turn_times_s" in key_tables:
-        return
-    for key in TURN_KEYS:
-        if key in key_tables:
-            text = "requires turn_times_s (give it, or drop this)"
-            raise InputError(f"{key_tables[key]} {key}: {text}")
+    for key in () if study.gives("turn_times_s") else TURN_KEYS:
+        if study.gives(key):
+            study.refuse(key, "requires turn_times_s (give it, or drop this)")
 
 
-def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_turns(study: Study) -> None:
     """Refuse turns that overlap, begin after the end of the data or are too fast for the samples.
 
     Raises:
@@ -194,8 +190,7 @@ def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
             try:
                 _turns_of(study, point)
             except TurnError as error:
-                place = key_tables.get(error.key, "[motion]")
-                raise InputError(f"{place} {error.key}: {error}") from None
+                study.refuse(error.key, str(error))
 
 
 def turns_base(study: Study) -> bool:

@@ -384,7 +384,7 @@ def check_trigger(study: StudyKeys) -> None:
         return
     if not any_trigger(study):
         for key in _TRIGGERED:
-            if study.place(key):
+            if study.given_in(key):
                 study.refuse(key, "requires a reset_trigger (give one, or drop this)")
     for point in study.combinations("reset_trigger", "trigger_threshold"):
         name, threshold = point["reset_trigger"], point["trigger_threshold"]
@@ -415,7 +415,7 @@ def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
             study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
         if (count or 0) > end_s * rate:
             study.refuse("reset_count", f"{count} resets are more than the samples of the run")
-        late = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        late = "reset_cycle_s" if study.given_in("reset_count") == "[resets]" else "reset_count"
         late = late if cycle else "reset_first_s"
         colliding = "reset_cycle_s" if first is None else "reset_first_s"
         begin = "" if first is None else f" from {first:.12g} s"
