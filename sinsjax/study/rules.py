@@ -57,8 +57,7 @@ def check_rules(study: Study) -> None:
     Args:
         study: sections, axes and cases, each value checked.
     """
-    timed = study.study.rate_hz  # else the record will give the rate
-    for stage in (PRESENCE_RULES, *(TIME_RULES if timed else ()), VALUE_RULES):
+    for stage in STAGES if study.study.rate_hz else UNTIMED_STAGES:
         errors_of(stage, study)
 
 
@@ -514,39 +513,36 @@ def _check_tune_section(study: Study) -> None:
 
 StudyRule = Callable[[Study], None]
 
-PRESENCE_RULES: tuple[StudyRule, ...] = (
+_PRESENCE: tuple[StudyRule, ...] = (
     _check_required_keys,
     _check_earth_constants,
     check_filter_noise,
     check_turn_keys,
     check_attitude_key,
 )
-"""Rules for the presence of keys."""
-
-TIME_RULES: tuple[tuple[StudyRule, ...], ...] = (
-    (_check_study_size, _check_intervals),
-    (_check_passes,),
-    (
-        _check_coarse_method,
-        _check_coarse_times,
-        check_turns,
-        _check_reset_law,
-        _check_statistics_window,
-        _check_report_times,
-        _check_success_criteria,
-        _check_stop_when,
-        _check_rules_of_methods,
-    ),
-    (_check_unreached_values,),
-    (_check_tune_section,),
+_LENGTHS: tuple[StudyRule, ...] = (_check_study_size, _check_intervals, _check_passes)
+_TIMES: tuple[StudyRule, ...] = (
+    _check_coarse_method,
+    _check_coarse_times,
+    check_turns,
+    _check_reset_law,
+    _check_statistics_window,
+    _check_report_times,
+    _check_success_criteria,
+    _check_stop_when,
+    _check_rules_of_methods,
 )
-"""Rules for times and counts, which need the sample rate; each stage relies on the earlier ones."""
-
-VALUE_RULES: tuple[StudyRule, ...] = (
+_USE: tuple[StudyRule, ...] = (_check_unreached_values, _check_tune_section)
+_VALUES: tuple[StudyRule, ...] = (
     _check_earth_centre,
     _check_plausible_values,
     _check_feedback_interval,
     _check_list_lengths,
     _check_drawn_values,
 )
-"""Rules for values alone, such as their usual ranges."""
+
+STAGES = (_PRESENCE, _LENGTHS, _TIMES, (*_USE, *_VALUES))
+"""All rules; those of a stage rely on the earlier ones."""
+
+UNTIMED_STAGES = (_PRESENCE, _VALUES)
+"""The rules that hold before the rate of a record is known."""
