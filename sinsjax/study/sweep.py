@@ -47,6 +47,7 @@ _TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
 """Settings of [tune] of the search 'covariance' of version 1.0."""
 
+_Check = Callable[[Any], Any]
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
@@ -145,9 +146,12 @@ def check_value(value: Any, key: str, place: str) -> Any:
     """
     if value is None:
         raise InputError(f"{place}: None is not a value")
-    name = f"{SECTION_OF.get(key)}.{key}"
+    return _check_type(value, _validator(key), place, f"{SECTION_OF.get(key)}.{key}")
+
+
+def _check_type(value: Any, validate: _Check, place: str, name: str = "") -> Any:
     try:
-        return _validator(key)(value)
+        return validate(value)
     except ValidationError as error:
         raise InputError(
             *(
@@ -157,25 +161,28 @@ def check_value(value: Any, key: str, place: str) -> Any:
         ) from None
 
 
+@functools.cache
+def _validator(key: str) -> _Check:
+    annotation: Any = Name
+    if key != "case":
+        field = SECTIONS[SECTION_OF[key]].model_fields[key]
+        annotation = Annotated[field.annotation, field]
+    return TypeAdapter(annotation, config=_STRICT).validate_python
+
+
 def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     """Return the errors of values that a user can correct.
 
     Consequences of these errors are left out: a list too short without its wrong entries, and a
     default that depends on a wrong value.
     """
+
+    def of_whole(detail: ErrorDetails) -> tuple[int | str, ...]:
+        return tuple(part for part in detail["loc"] if not isinstance(part, int))
+
     errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
-    with_entries = {
-        _location_without_indices(detail) for detail in errors if format_list_index(detail)
-    }
-    return [
-        detail
-        for detail in errors
-        if format_list_index(detail) or detail["loc"] not in with_entries
-    ]
-
-
-def _location_without_indices(error: ErrorDetails) -> tuple[int | str, ...]:
-    return tuple(part for part in error["loc"] if not isinstance(part, int))
+    with_entries = {of_whole(detail) for detail in errors if format_list_index(detail)}
+    return [d for d in errors if format_list_index(d) or d["loc"] not in with_entries]
 
 
 def value_error(value: Any, key: str) -> str | None:
@@ -193,30 +200,35 @@ def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]
     Raises:
         InputError: some are not valid; a line per value.
     """
+    return _check_each(values, place, lambda value, at: check_value(value, key, at))
+
+
+def _check_each(
+    values: Iterable[Any], place: str, check: Callable[[Any, str], Any]
+) -> tuple[Any, ...]:
     errors, checked = ErrorCollector(), []
     for i, value in enumerate(values):
         with errors.collect():
-            checked.append(check_value(value, key, f"{place}[{i}]"))
+            checked.append(check(value, f"{place}[{i}]"))
     errors.raise_all()
     return tuple(checked)
 
 
 def _read_axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
     """Return the single axes and the zips."""
-    axes, zips, errors = {}, {}, ErrorCollector()
+    axes, zips, errors, recorded = {}, {}, ErrorCollector(), "record" in tables
     for key, values in tables.get("axes", {}).items():
         with errors.collect():
             if isinstance(values, Mapping):
-                zips[key] = _read_zip(tables, key, values)
+                zips[key] = _read_zip(f"[axes.{key}]", values, recorded)
             else:
-                axes[key] = _read_axis("axes", key, values, "record" in tables)
+                axes[key] = _read_axis("[axes]", key, values, recorded)
                 _check_distinct(axes[key], f"[axes] {key}")
     used_keys = set(axes)
     for name, keys in zips.items():
         with errors.collect():
-            for key in keys:
-                if key in used_keys:
-                    raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
+            for key in used_keys & keys.keys():
+                raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
         used_keys |= keys.keys()
     errors.raise_all()
     return axes, zips
@@ -225,36 +237,38 @@ def _read_axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
 def _axis_keys(tables: TomlTable) -> set[str]:
     """Return the keys of all axes, with right or wrong values."""
     axes = tables.get("axes", {})
-    zipped = {key for values in axes.values() if isinstance(values, Mapping) for key in values}
-    return zipped | {key for key, values in axes.items() if not isinstance(values, Mapping)}
+    return {
+        key
+        for name, values in axes.items()
+        for key in (values if isinstance(values, Mapping) else (name,))
+    }
 
 
-def _read_zip(tables: TomlTable, name: str, keys: Mapping[str, Any]) -> Dimension:
+def _read_zip(table: str, keys: Mapping[str, Any], recorded: bool) -> Dimension:
     """Return the axes of a table, which vary together."""
-    table = f"axes.{name}"
     if not keys:
-        raise InputError(f"[{table}]: must not be empty")
+        raise InputError(f"{table}: must not be empty")
     joint, errors = {}, ErrorCollector()
     for key, values in keys.items():
         with errors.collect():
-            joint[key] = _read_axis(table, key, values, "record" in tables)
+            joint[key] = _read_axis(table, key, values, recorded)
     errors.raise_all()
     first = next(iter(joint))
     for key, values in joint.items():
         if len(values) != len(joint[first]):
             text = f"has {len(values)} values, but {first} has {len(joint[first])}"
-            raise InputError(f"[{table}] {key}: {text} (give as many, since they vary together)")
-    _check_distinct(list(zip(*joint.values(), strict=True)), f"[{table}] {', '.join(joint)}")
+            raise InputError(f"{table} {key}: {text} (give as many, since they vary together)")
+    _check_distinct(list(zip(*joint.values(), strict=True)), f"{table} {', '.join(joint)}")
     return joint
 
 
 def _read_axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
     _check_sweepable(table, key, recorded)
     if not isinstance(values, tuple):
-        raise InputError(f"[{table}] {key}: must be a list of values, not {values!r}")
+        raise InputError(f"{table} {key}: must be a list of values, not {values!r}")
     if not values:
-        raise InputError(f"[{table}] {key}: must not be empty")
-    return check_values(values, key, f"[{table}] {key}")
+        raise InputError(f"{table} {key}: must not be empty")
+    return check_values(values, key, f"{table} {key}")
 
 
 def _read_cases(
@@ -275,7 +289,7 @@ def _read_cases(
     for key in keys:
         with errors.collect():
             if key != "case":
-                _check_sweepable("cases", key, "record" in tables)
+                _check_sweepable("[cases]", key, "record" in tables)
             if key in swept:
                 raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
     errors.raise_all()
@@ -391,14 +405,14 @@ def _read_law(key: str, table: Any) -> Distribution:
 
 
 def _check_sweepable(table: str, key: str, recorded: bool) -> None:
+    """Refuse a key that is unknown or cannot be swept."""
     section = SECTION_OF.get(key)
     if key == "start_s":
         reason = "cannot be swept (list the start times in [record], one draw each)"
     elif key == "attitude_file":
         reason = "cannot be swept (use one study per file)"
     elif section is None:
-        sweepable = [name for name, home in SECTION_OF.items() if home in SWEEPABLE]
-        reason = unknown_key_error(key, sweepable)
+        reason = unknown_key_error(key, [k for k, home in SECTION_OF.items() if home in SWEEPABLE])
     elif section == "study":
         reason = "cannot be swept (all runs share [study]: use one study per value)"
     elif section not in SWEEPABLE:
@@ -407,10 +421,11 @@ def _check_sweepable(table: str, key: str, recorded: bool) -> None:
         reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
     else:
         return
-    raise InputError(f"[{table}] {key}: {reason}")
+    raise InputError(f"{table} {key}: {reason}")
 
 
 def _check_drawable(key: str, recorded: bool) -> None:
+    """Refuse a key that is unknown or cannot be drawn."""
     section = SECTION_OF.get(key)
     if section is None:
         reason = unknown_key_error(key, NUMBERS_DRAWN)
@@ -431,16 +446,6 @@ def _check_distinct(values: Sequence[Any], place: str) -> None:
     for i, value in enumerate(values):
         if seen.setdefault(value, i) < i:
             raise InputError(f"{place}[{i}]: repeats [{seen[value]}] (drop one of them)")
-
-
-@functools.cache
-def _validator(key: str) -> Callable[[Any], Any]:
-    annotation: Any = Name
-    if key != "case":
-        field = SECTIONS[SECTION_OF[key]].model_fields[key]
-        annotation = Annotated[field.annotation, field]
-    strict = ConfigDict(strict=True, allow_inf_nan=False)
-    return TypeAdapter(annotation, config=strict).validate_python
 
 
 def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
@@ -513,15 +518,15 @@ def _read_ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
             ranges[key] = _read_key_range(key, value)
     errors.raise_all()
     times, count = ranges.get(TIMES), ranges.get(COUNT)
-    table_of = dict.fromkeys(ranges, _VARIABLES)
+    tables = dict.fromkeys(ranges, _VARIABLES)
     if isinstance(times, tuple) and isinstance(count, Range):
         for number in count.candidates or (count.fixed,):
             if number > len(times):
                 text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
                 raise InputError(f"{_VARIABLES} {COUNT}: {text}")
-        del table_of[COUNT]
-    for key in table_of:
-        _check_alternatives(key, table_of, _VARIABLES)
+        del tables[COUNT]
+    for key in tables:
+        _check_alternatives(key, tables, _VARIABLES)
     return ranges
 
 
@@ -539,88 +544,67 @@ def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
 
 
 def _check_alternatives(key: str, table_of: Mapping[str, str], place: str) -> None:
-    for alternative in sorted(alternative_keys(key) & table_of.keys()):
-        text = f"conflicts with {alternative} in {table_of[alternative]} (give one of them)"
+    for other in sorted(alternative_keys(key) & table_of.keys()):
+        text = f"conflicts with {other} in {table_of[other]} (give one of them)"
         raise InputError(f"{place} {key}: {text}")
 
 
 def _read_key_range(key: str, value: Any) -> Range | tuple[Range, ...]:
     """Return the range of a key: of its number, of each entry of its list, or its candidates."""
-    place, entries = (
-        f"{_VARIABLES} {key}",
-        _entry_types(SECTIONS[SECTION_OF[key]].model_fields[key].annotation),
-    )
+    place, field = f"{_VARIABLES} {key}", SECTIONS[SECTION_OF[key]].model_fields[key]
+    entries = _entry_types(field.annotation)
     if not isinstance(value, tuple):
-        key_range = _read_range(place, key, value)
-        if key_range.is_free and entries:
+        found = _parse_range(place, value)
+        if found.is_free and entries:
             raise InputError(f"{place}: needs a list with one range per entry, not one range")
-        if key_range.is_free:
-            for name in ("low", "high"):
-                _refuse_whole_number(check_value(value[name], key, f"{place}.{name}"), place)
-        return key_range
+        return _check_range(found, value, place, lambda one, at: check_value(one, key, at))
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
     if not value:
         raise InputError(f"{place}: must not be empty")
     if Ellipsis not in entries and len(value) != len(entries):
         raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    errors, ranges = ErrorCollector(), []
-    for i, entry_range in enumerate(value):
-        with errors.collect():
-            ranges.append(_read_entry_range(f"{place}[{i}]", entry_range, entries[0]))
-    errors.raise_all()
-    return tuple(ranges)
+    validate: _Check = TypeAdapter(entries[0], config=_STRICT).validate_python
+
+    def read_entry(entry: Any, at: str) -> Range:
+        found = _parse_range(at, entry)
+        if found.candidates is not None:
+            raise InputError(f"{at}.candidates: must be of the whole key, not of one entry")
+        return _check_range(found, entry, at, lambda one, end: _check_type(one, validate, end))
+
+    return _check_each(value, place, read_entry)
 
 
-def _read_entry_range(place: str, value: Any, entry_type: Any) -> Range:
-    """Return the range of one entry of a list, whose entries have a given type."""
-    entry_range = _read_range(place, None, value)
-    if entry_range.candidates is not None:
-        raise InputError(f"{place}.candidates: must be of the whole key, not of one entry")
-    for name in ("low", "high") if entry_range.is_free else ("fixed",):
-        try:
-            end = TypeAdapter(entry_type, config=_STRICT).validate_python(value[name])
-        except ValidationError as error:
-            raise InputError(f"{place}.{name}: {explain_error(error.errors()[0])}") from None
-        if entry_range.is_free:
-            _refuse_whole_number(end, place)
-    return entry_range
-
-
-def _read_range(place: str, key: str | None, value: Any) -> Range:
-    """Return a range of the file, with its values checked as those of a key, if any."""
+def _parse_range(place: str, value: Any) -> Range:
+    """Return a range of the file, whose values are not checked."""
     if not isinstance(value, Mapping):
         raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
     for name in value:
         if name not in _RANGE_KEYS:
             raise InputError(f"{place}.{name}: unknown key{suggest_closest(name, _RANGE_KEYS)}")
     try:
-        value_range = Range.model_validate(
-            ({"scale": "linear"} if "low" in value else {}) | dict(value)
-        )
+        return Range.model_validate(({"scale": "linear"} if "low" in value else {}) | dict(value))
     except ValidationError as error:
         first = error.errors()[0]
         name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
         suffix = f".{name}{format_list_index(first)}" if name else ""
         raise InputError(f"{place}{suffix}: {explain_error(first)}") from None
-    if key is None:
-        return value_range
-    if value_range.fixed is not None:
-        return value_range.model_copy(
-            update={"fixed": check_value(value_range.fixed, key, f"{place}.fixed")}
-        )
-    if value_range.candidates is not None:
-        suffix = f"{place}.candidates"
-        values = check_values(value_range.candidates, key, suffix)
+
+
+def _check_range(
+    found: Range, given: TomlTable, place: str, check: Callable[[Any, str], Any]
+) -> Range:
+    """Return a range with its given values as a check of (value, place) returns them."""
+    if found.candidates is not None:
+        values = _check_each(given["candidates"], f"{place}.candidates", check)
         if len(set(values)) < len(values):
-            raise InputError(f"{suffix}: repeats a value (drop one)")
-        return value_range.model_copy(update={"candidates": values})
-    return value_range
-
-
-def _refuse_whole_number(end: Any, place: str) -> None:
-    if isinstance(end, int):
+            raise InputError(f"{place}.candidates: repeats a value (drop one)")
+        return found.model_copy(update={"candidates": values})
+    ends = ("low", "high") if found.is_free else ("fixed",)
+    checked = {name: check(given[name], f"{place}.{name}") for name in ends}
+    if found.is_free and any(isinstance(end, int) for end in checked.values()):
         raise InputError(f"{place}: must be whole numbers (list them as candidates)")
+    return found if found.is_free else found.model_copy(update=checked)
 
 
 def _entry_types(annotation: Any) -> tuple[Any, ...]:
