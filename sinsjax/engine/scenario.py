@@ -44,7 +44,6 @@ from sinsjax.strapdown.turns import Turns
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.schema import (
     EARTH_CONSTANTS,
     TURN_KEYS,
@@ -55,6 +54,7 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Quat, Vec3
@@ -191,7 +191,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
     swept += ["reset_trigger"] if study.names_schedules else []
-    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
     _, first, part = np.unique(codes, return_index=True, return_inverse=True)
     in_order = np.argsort(part, kind="stable")
     ids = np.split(in_order, np.cumsum(np.bincount(part))[:-1])

@@ -89,7 +89,7 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     _check_bound_applies(study)
     scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
-    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
     bounds: dict[tuple[int, float], dict[float, float]] = {}
     rows: list[tuple[int, float, float]] = []
     for part, ids in enumerate(scenario.variant_ids):

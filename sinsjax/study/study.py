@@ -37,13 +37,6 @@ from sinsjax.study.reset_schedules import (
     derive_schedule,
     predict_settling,
 )
-from sinsjax.study.resolved import (
-    CodedColumn,
-    Dimension,
-    ResolvedColumns,
-    constant_column,
-    unique_with_inverse,
-)
 from sinsjax.study.schema import (
     DrawnSection,
     EarthSection,
@@ -56,6 +49,13 @@ from sinsjax.study.schema import (
     keys_acting_as,
 )
 from sinsjax.study.sweep import sweep_dimensions
+from sinsjax.study.sweep_columns import (
+    CodedColumn,
+    Dimension,
+    SweepColumns,
+    constant_column,
+    unique_with_inverse,
+)
 from sinsjax.value_types import ROUNDING
 
 _USER_NAMES = (
@@ -267,17 +267,16 @@ class Study(_SectionsOfMethods):
         samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
-    @property
-    def resolved(self) -> ResolvedColumns:
-        """The columns of the study, computed once."""
-        return _resolve_columns(_IdentityKey(self))
+    def coded(self, *keys: str) -> CodedColumn:
+        """Return the column of a key, or of combinations of several, see `SweepColumns.column`."""
+        return _columns_of(_IdentityKey(self)).column(*keys)
 
     @property
     def lengths(self) -> CodedColumn:
         """The length of each variant's runs, as a column of `Span`."""
         if self.passes is None:
             return constant_column(self.n_variants, self.span())
-        return self.resolved.column(*PASS_KEYS).map(lambda values: self.span(*values))
+        return self.coded(*PASS_KEYS).map(lambda values: self.span(*values))
 
     @property
     def spans(self) -> list[Span]:
@@ -403,16 +402,14 @@ class Study(_SectionsOfMethods):
         """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
             return constant_column(self.n_variants, ())
-        return self.resolved.column(*SCHEDULE_KEYS).map(
-            lambda values: scheduled_reset_times(*values)
-        )
+        return self.coded(*SCHEDULE_KEYS).map(lambda values: scheduled_reset_times(*values))
 
     @property
     def predicted_settling(self) -> CodedColumn:
         """Predicted settling time of each variant, s; None where nothing is predicted."""
         keys = [k for k in (*LAW_KEYS, *DERIVED, *START_KEYS) if self.is_readable(k)]
         missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-        codes, choices = self.resolved.column(*keys)
+        codes, choices = self.coded(*keys)
         points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
         return CodedColumn(codes, tuple(predict_settling(self.rate_hz, self.run_s, points)))
 
@@ -573,7 +570,7 @@ class Study(_SectionsOfMethods):
                 (values_by_key[key],) if has_effect(key, values_by_key) and not is_replaced else ()
             )
 
-        codes, choices = self.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
+        codes, choices = self.coded(*keys).map(value if len(keys) > 1 else lambda v: (v,))
         code_of = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
         return CodedColumn(
             np.asarray([code_of[choice] for choice in choices])[codes], tuple(code_of)
@@ -602,7 +599,7 @@ class Study(_SectionsOfMethods):
             >>> sinsjax.load_study("paper1_resets").values("latitude_deg")
             [32.0, 32.0, 32.0]
         """
-        return self.resolved.column(key).to_list()
+        return self.coded(key).to_list()
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """Yield the distinct combinations of the values of sweepable keys over all variants.
@@ -677,9 +674,9 @@ class _IdentityKey:
 
 
 @lru_cache(maxsize=4)
-def _resolve_columns(key: _IdentityKey) -> ResolvedColumns:
+def _columns_of(key: _IdentityKey) -> SweepColumns:
     study = key.study
-    columns = ResolvedColumns(study.dimensions, study._constant)
+    columns = SweepColumns(study.dimensions, study._constant)
     if study.names_schedules:
         inputs = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
         columns.derive(DERIVED, inputs, study._derive)

@@ -27,8 +27,8 @@ from sinsjax.study.keys import (
     alternative_keys,
     unknown_key_error,
 )
-from sinsjax.study.resolved import Dimension
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
+from sinsjax.study.sweep_columns import Dimension
 from sinsjax.value_types import Name
 
 TIMES, COUNT = "reset_times_s", "reset_count"

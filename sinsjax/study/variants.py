@@ -9,8 +9,8 @@ import numpy as np
 
 from sinsjax.records.reference import Reference
 from sinsjax.study.attitude_file import read_attitude
-from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import data_end_s
 from sinsjax.units import si_factor
 
@@ -86,13 +86,13 @@ class Variants:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return a column for these variants, see `ResolvedColumns.column`."""
-        whole = self._study.resolved.column(*keys)
+        """Return a column for these variants, see `SweepColumns.column`."""
+        whole = self._study.coded(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
     def value(self, key: str, variant: int) -> Any:
         """Return the value of a key in the variant with this index in the part."""
-        codes, choices = self._study.resolved.column(key)
+        codes, choices = self._study.coded(key)
         return choices[codes[self.ids[variant]]]
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:

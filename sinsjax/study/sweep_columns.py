@@ -1,4 +1,4 @@
-"""A study resolved into columns: the distinct values of its keys, and a code per variant.
+"""The columns of a sweep: the distinct values of its keys, and a code per variant.
 
 A sweep repeats few values many times. Functions of a value are therefore evaluated once for each
 distinct value, or each distinct combination, and expanded over the variants by NumPy.
@@ -45,7 +45,7 @@ def constant_column(count: int, value: Any) -> CodedColumn:
     return CodedColumn(np.zeros(count, np.int32), (value,))
 
 
-class ResolvedColumns:
+class SweepColumns:
     """The columns of a study, each computed at its first use."""
 
     def __init__(self, dimensions: Sequence[Dimension], constant: Callable[[str], Any]) -> None:
