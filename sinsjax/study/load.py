@@ -2,13 +2,13 @@
 
 A file either gives a `Study` or raises `InputError` with a line for each of its mistakes that the
 first stage with any finds, ``FILE: [section] key: what is wrong (way on)``. The stages are names of
-sections and keys, values, rules (`rules.broken_rules`), and points of [tune]. `sweep` reads the
+sections and keys, values, rules (`rules.STAGES`), and points of [tune]. `sweep` reads the
 tables that vary a study. Values stay in the units of the file.
 """
 
 import difflib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +164,11 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
     """
     try:
         reject_open_questions(data)
-        return _build_checked_study(data, escape_controls(Path(source).stem))
+        _check_methods_usable(data)
+        study = _read_study(data, escape_controls(Path(source).stem))
+        if study.tune and study.study.rate_hz:
+            _check_tuning_points(study)
+        return study
     except InputError as error:
         raise error.with_source(source) from None
     except RecursionError:
@@ -231,25 +235,11 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-Study.rebuild = staticmethod(replace_values)
-Study.tables = staticmethod(non_default_tables)
+Study.rebuild, Study.tables = staticmethod(replace_values), staticmethod(non_default_tables)
 
 
-def _build_checked_study(data: TomlTable, name: str) -> Study:
-    """Return the study of some tables, points of [tune] checked.
-
-    Raises:
-        InputError: the mistakes of the first stage with any, since later ones need its values.
-    """
-    _check_methods_usable(data)
-    study = _build_study(data, name)
-    if study.tune and study.study.rate_hz:
-        _check_tuning_points(study)
-    return study
-
-
-def _build_study(data: TomlTable, name: str) -> Study:
-    """Return the study of some tables with all rules checked, but not the points of [tune]."""
+def _read_study(data: TomlTable, name: str) -> Study:
+    """Return the study of some tables: names, sweep, defaults, values, rules."""
     tables = without_gone_settings(_lists_to_tuples(data))
     _check_tables(tables)
     _register_external(tables)
@@ -261,18 +251,18 @@ def _build_study(data: TomlTable, name: str) -> Study:
         for section, table in tables.items()
         if section in SECTIONS
     }
-    key_tables = {key: f"[{section}]" for section, keys in given.items() for key in keys}
-    key_tables |= sweep.table_of
     with errors.collect():
-        _check_alternatives(key_tables)
+        _check_alternatives(
+            {key: f"[{section}]" for section, keys in given.items() for key in keys}
+            | sweep.table_of
+        )
     defaults = filled_in(GivenKeys(given, sweep.values))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:
-        tune = sections["tune"]
+        tune, recorded = sections["tune"], "record" in tables
         sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
         with errors.collect():
-            recorded = "record" in tables
             sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
     with errors.collect():
         study = _validate_sections(sections | sweep.for_study)
@@ -301,7 +291,7 @@ def _check_tuning_points(study: Study) -> None:
 
     def build_point(place: str, point: TomlTable) -> Study:
         try:
-            return _build_study(search_space.insert_point(tables, point), study.name)
+            return _read_study(search_space.insert_point(tables, point), study.name)
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
@@ -313,22 +303,16 @@ def _check_tuning_points(study: Study) -> None:
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_methods_usable(data: Any) -> None:
-    """Refuse a study with a method that cannot be used, whose sections and keys are unknown."""
-    for name in sorted({*_iter_method_names(data)} & (BROKEN.keys() - METHODS.keys())):
-        raise InputError(f"[alignment] method: {name!r} cannot be used: {BROKEN[name]}")
-
-
-def _iter_method_names(data: Any, key: str = "") -> Iterator[str]:
-    """Yield all words under keys called ``method``, of sections, axes and cases."""
+def _check_methods_usable(data: Any, key: str = "") -> None:
+    """Refuse a word under a key ``method`` that names a method that cannot be used."""
     if isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _iter_method_names(value, name)
+            _check_methods_usable(value, name)
     elif isinstance(data, list | tuple):
         for value in data:
-            yield from _iter_method_names(value, key)
-    elif key == "method" and isinstance(data, str):
-        yield data
+            _check_methods_usable(value, key)
+    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
+        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
 
 
 def _lists_to_tuples(value: Any) -> Any:
@@ -389,19 +373,17 @@ def _unknown_key_text(key: str, section: str) -> str:
     return text
 
 
-def _check_alternatives(key_tables: Mapping[str, str]) -> None:
+def _check_alternatives(table_of: Mapping[str, str]) -> None:
     """Refuse two keys that are alternatives; each case may have another one."""
-    lines: list[str] = []
-    reported: set[str] = set()
+    errors, reported = ErrorCollector(), set[str]()
     for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        tables = {key_tables.get(first), key_tables.get(second)}
+        tables = {table_of.get(first), table_of.get(second)}
         if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
             continue
-        text = f"conflicts with {second} in {key_tables[second]} (give one of them)"
-        lines.append(f"{key_tables[first]} {first}: {text}")
+        text = f"conflicts with {second} in {table_of[second]} (give one of them)"
+        errors.add(f"{table_of[first]} {first}: {text}")
         reported |= {first, second}
-    if lines:
-        raise InputError(*lines)
+    errors.raise_all()
 
 
 def _validate_sections(sections: TomlTable) -> Study:
