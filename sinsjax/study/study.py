@@ -487,18 +487,14 @@ class Study(_SectionsOfMethods):
 
     def given_in(self, key: str) -> str | None:
         """Return the table, in brackets, that gives, sweeps or draws a key; None if none does."""
-        section = SECTION_OF[key]
-        if key in self.drawn_keys:
-            return "[drawn]"
-        if self.cases and key in self.cases[0]:
-            return "[cases]"
-        for name, keys in self.zips.items():
+        name = SECTION_OF[key]
+        varied = {"[drawn]": self.drawn_keys, "[cases]": self.cases[0] if self.cases else ()}
+        varied |= {f"[axes.{zip_}]": tuple(keys) for zip_, keys in self.zips.items()}
+        for table, keys in (varied | {"[axes]": self.axes}).items():
             if key in keys:
-                return f"[axes.{name}]"
-        if key in self.axes:
-            return "[axes]"
-        values = getattr(self, section)
-        return f"[{section}]" if values and key in values.model_fields_set else None
+                return table
+        section = getattr(self, name)
+        return f"[{name}]" if section and key in section.model_fields_set else None
 
     def gives(self, *keys: str) -> bool:
         """Return whether it gives, sweeps or draws one of some keys, instead of its default."""
