@@ -18,14 +18,14 @@ def reject_open_questions(tables: Mapping[str, Any], path: str | Path | None = N
     Raises:
         InputError: a line for each open question, with its evidence and the way to answer it.
     """
-    evidence = {} if path is None else _read_evidence(path)
+    sections = {name: table for name, table in tables.items() if isinstance(table, Mapping)}
+    places = [(name, k) for name, table in sections.items() for k, v in table.items() if v == OPEN]
+    evidence = _read_evidence(path) if places and path is not None else {}
     errors = ErrorCollector()
-    for section, table in tables.items():
-        for key, value in table.items() if isinstance(table, Mapping) else ():
-            if value == OPEN:
-                text = evidence.get(key, "it has no value")
-                way = f"answer it there, or by --set {section}.{key}=VALUE"
-                errors.add(f"[{section}] {key}: an open question: {text} ({way})")
+    for section, key in places:
+        text = evidence.get(key, "it has no value")
+        way = f"answer it there, or by --set {section}.{key}=VALUE"
+        errors.add(f"[{section}] {key}: an open question: {text} ({way})")
     errors.raise_all()
 
 
