@@ -5,7 +5,6 @@ recorded.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 from sinsjax.methods.registry import METHODS, SECTIONS_OF_METHODS, unread_keys
@@ -64,17 +63,12 @@ def _feedback_interval(given: GivenKeys) -> float | None:
     return 1 / rate_hz if known else None
 
 
-def _of_sphere(key: str, given: GivenKeys) -> float | None:
-    return EARTH_CONSTANTS[key] if "constants" in given.words("earth") else None
-
-
 _WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
 _DEPENDENT: dict[str, Callable[[GivenKeys], Any]] = {
     "draws": _draws,
     "height_m": _height,
     "feedback_interval_s": _feedback_interval,
     **dict.fromkeys(_WHITE_NOISE, lambda given: 0.0),
-    **{key: partial(_of_sphere, key) for key in EARTH_CONSTANTS},
 }
 
 
@@ -88,6 +82,8 @@ def dependent_default(key: str, given: GivenKeys) -> Any:
         others = {key, *others}
     if any(map(given.gives, others)):
         return None
+    if key in EARTH_CONSTANTS:
+        return EARTH_CONSTANTS[key]
     if key in _DEPENDENT:
         return _DEPENDENT[key](given)
     applies = info.beside is None or given.words(info.beside) - {None, "none"}
@@ -97,10 +93,12 @@ def dependent_default(key: str, given: GivenKeys) -> Any:
 def filled_in(given: GivenKeys) -> dict[str, TomlTable]:
     """Return the values of the keys that a study leaves out, by the sections that it has.
 
-    Keys that only other methods read stay without a value.
+    Keys that only other methods read, or other models of the Earth, stay without a value.
     """
     tables, varied_sections = given.tables, {SECTION_OF.get(key) for key in given.varied}
     unread = unread_keys(given.words("method") & METHODS.keys())
+    if "constants" not in given.words("earth"):
+        unread |= EARTH_CONSTANTS.keys()
     absent = SIMULATED_ONLY if given.is_recorded else ("record",)
     optional = {"passes", "stop_when", "tune"} | (set() if given.is_recorded else {"coarse"})
     found: dict[str, TomlTable] = {}
