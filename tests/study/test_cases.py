@@ -42,6 +42,7 @@ def test_cases_of_different_keys_are_those_that_repeat_all_of_them() -> None:
         ("level_sigma_per_s", [COMPASS, {"method": "compass", "level_time_s": 4.0}], [0.1, 0.02]),
         ("level_sigma_per_s", [COMPASS, {"level_adjustment_s": 9.0}], [0.1, None]),
         ("trigger_window_s", [{}, TRIGGER], [None, 3.0]),
+        ("gravity_m_per_s2", [{"earth": "wgs84"}, {"gravity_m_per_s2": 9.7}], [9.8, 9.7]),
     ],
 )
 def test_case_of_another_key_of_the_same_quantity_drops_that_of_its_section(
@@ -66,4 +67,13 @@ def test_case_with_value_of_section_that_is_wrong_names_the_section() -> None:
     with pytest.raises(InputError, match=r"\[filter\] p0_yaw_deg: .* -1"):
         small_study(
             filter={"p0_yaw_deg": -1}, cases=[{"case": "a"}, {"p0_yaw_deg": 3.0, "case": "b"}]
+        )
+
+
+@pytest.mark.parametrize("key", ["latitude_deg", "q_reading"])
+def test_key_that_every_case_needs_is_refused_where_one_has_none(key) -> None:
+    row = {"latitude_deg": 32.0, "q_reading": "psd", "q_accel_ug": 1.0, "q_gyro_deg_per_h": 1.0}
+    with pytest.raises(InputError, match=rf"\[cases\] {key}: required"):
+        small_study(
+            earth={"latitude_deg": None}, cases=[{k: v for k, v in row.items() if k != key}, row]
         )
