@@ -43,8 +43,8 @@ Effect = Literal["sway", "noise", "bias", "distortion", "quantum", "process", "p
 class KeyInfo(NamedTuple):
     """Properties of a study key in addition to its type and meaning.
 
-    It is written in the annotation of the key or of its type; the outermost value of each attribute
-    counts.
+    It is written in the `field` of a key, or in the annotation of its type; the outermost value of
+    each attribute counts.
 
     Attributes:
         usual_range: lowest and highest usual value in the unit of the key; `rules` refuses others.
@@ -98,17 +98,18 @@ class KeyCondition(NamedTuple):
     refused: bool = False
 
 
-def field(default: Any, meaning: str, otherwise: Any = None, **constraints: Any) -> Any:
+def field(default: Any, meaning: str, otherwise: Any = None, **properties: Any) -> Any:
     """Return the field of a key, whose name ends in its unit.
 
     Args:
         default: value of an omitted key in the study; ``...`` if it is required.
         meaning: description, without unit and default.
         otherwise: what an omitted key means, if ``default`` does not state it: a number, or words.
-        constraints: further arguments of pydantic's ``Field``.
+        properties: those of `KeyInfo`, and further arguments of pydantic's ``Field``.
     """
-    shown = None if otherwise is None else {"default": otherwise}
-    return Field(default, description=meaning, json_schema_extra=shown, **constraints)
+    info = {name: properties.pop(name) for name in KeyInfo._fields if name in properties}
+    extra: Any = {"default": otherwise, "info": KeyInfo(**info)}
+    return Field(default, description=meaning, json_schema_extra=extra, **properties)
 
 
 ROUNDING = 1e-9
@@ -116,9 +117,10 @@ ROUNDING = 1e-9
 
 
 def key_info(field: FieldInfo) -> KeyInfo:
-    """Return the properties in the annotation of a key, the outermost value of each attribute."""
-    given: dict[str, Any] = {}
-    for info in _iterate_key_infos([*field.metadata, field.annotation]):
+    """Return the properties of a key, the outermost value of each attribute."""
+    extra, given = field.json_schema_extra, dict[str, Any]()
+    own = [extra["info"]] if isinstance(extra, dict) and "info" in extra else []
+    for info in _iterate_key_infos([*own, *field.metadata, field.annotation]):
         for name, value in info._asdict().items():
             if value != KeyInfo._field_defaults[name]:
                 given.setdefault(name, value)
@@ -189,20 +191,20 @@ Elevation = Annotated[float, Field(gt=-90, lt=90)]
 # The usual ranges are generous: a number outside is most likely in another unit.
 Seconds = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e8))]
 SecondsOrZero = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e8))]
-Period = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e7))]
+Period = Annotated[Positive, KeyInfo(usual_range=(1e-2, 1e5))]
 Band = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180 * 60))]
-Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 360), acts_as="sway")]
-Speed = Annotated[Finite, KeyInfo(usual_range=(-1e4, 1e4))]
-SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 1e4))]
-AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 360))]
+Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 180), acts_as="sway")]
+Speed = Annotated[Finite, KeyInfo(usual_range=(-100, 100))]
+SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 100))]
+AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180))]
 # Beyond a turn, next to nothing is known.
-HeadingSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e4))]
-GyroSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e6))]
-AccelSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e7))]
-GyroNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))]
-AccelNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e7))]
-GyroWalk = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e4))]
-Bandwidth = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e4))]
+HeadingSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e4))]
+GyroSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 36e3))]
+AccelSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 2e5))]
+GyroNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))]
+AccelNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))]
+GyroWalk = Annotated[NonNegative, KeyInfo(usual_range=(0, 30))]
+Bandwidth = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))]
 Factor = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e9))]
 IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_require_ordered)]
 Normal = tuple[Finite, NonNegative]

@@ -398,7 +398,7 @@ def _simplify_schema(value: Any) -> Any:
         return [_simplify_schema(entry) for entry in value if entry != {"type": "null"}]
     if not isinstance(value, dict):
         return value
-    hidden = ("title", "default", "discriminator")
+    hidden = ("title", "default", "discriminator", "info")
     out = {key: _simplify_schema(entry) for key, entry in value.items() if key not in hidden}
     for kind in ("anyOf", "oneOf"):
         if len(out.get(kind, ())) == 1:

@@ -180,11 +180,6 @@ def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
 
-def acting(effect: Effect, low: float | int | None = None, high: float | int = 0) -> KeyInfo:
-    """Return the properties of a key that acts on base or sensors, with its usual range, if any."""
-    return KeyInfo(usual_range=None if low is None else (low, high), acts_as=effect)
-
-
 class MotionSection(Section):
     """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
@@ -240,23 +235,26 @@ class MotionSection(Section):
     yaw_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
     yaw_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
     yaw_phase_deg: vt.Angle = field(0.0, "phase")
-    lever_arm_m: Annotated[vt.Vector, KeyInfo(usual_range=(-1e3, 1e3))] = field(
-        0.0, "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis"
+    lever_arm_m: vt.Vector = field(
+        0.0,
+        "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis",
+        usual_range=(-300, 300),
     )
     turn_times_s: vt.EventTimes | None = field(
         None, "start times of turns from the first sample, rounded to whole samples", "no turns"
     )
-    turn_angles_deg: Annotated[vt.Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = field(
+    turn_angles_deg: vt.Numbers | None = field(
         None,
         "turn angles, positive counter-clockwise from above: one for all or per turn. An"
         " unfinished turn continues to the end: 1e6 for a carousel",
         180.0,
+        usual_range=(-1e8, 1e8),
     )
-    turn_rate_deg_per_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = field(
-        None, "turn rate, adjusted to whole samples per turn", 10.0
+    turn_rate_deg_per_s: vt.Positive | None = field(
+        None, "turn rate, adjusted to whole samples per turn", 10.0, usual_range=(1e-3, 3600)
     )
-    turn_ramp_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = field(
-        None, "time to reach the turn rate, and to stop", 1.0
+    turn_ramp_s: vt.Positive | None = field(
+        None, "time to reach the turn rate, and to stop", 1.0, usual_range=(1e-3, 1e3)
     )
     turn_repeat_s: vt.Seconds | None = field(
         None, "interval at which turns repeat until the end", "no repetition"
@@ -274,34 +272,64 @@ class MotionSection(Section):
         " be swept",
         "none",
     )
-    surge_m_per_s: Annotated[vt.NoisePerAxis, acting("process", 0, 100)] = field(
-        0.0, "rms velocity of surge, random motion about a fixed place, along east, north, up"
+    surge_m_per_s: vt.NoisePerAxis = field(
+        0.0,
+        "rms velocity of surge, random motion about a fixed place, along east, north, up",
+        usual_range=(0, 10),
+        acts_as="process",
     )
-    surge_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        5.0, "correlation time of the surge velocity"
+    surge_time_s: vt.Period = field(
+        5.0, "correlation time of the surge velocity", acts_as="process_shape"
     )
-    surge_bandwidth_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
-        1.0, "surge bandwidth, which limits acceleration; only for 'third_order'"
+    surge_bandwidth_hz: vt.Bandwidth = field(
+        1.0,
+        "surge bandwidth, which limits acceleration; only for 'third_order'",
+        acts_as="process_shape",
     )
     surge_model: Literal["third_order", "gauss_markov"] = field(
         "third_order",
         "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
         " first-order Gauss-Markov velocity; acceleration grows with sample rate",
     )
-    vibration_ug_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
-        0.0, "linear vibration of the sensors' housing along right, front, up"
+    vibration_ug_rms: vt.NoisePerAxis = field(
+        0.0,
+        "linear vibration of the sensors' housing along right, front, up",
+        usual_range=(0, 1e7),
+        acts_as="process",
     )
-    vibration_deg_per_h_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
+    vibration_deg_per_h_rms: vt.NoisePerAxis = field(
         0.0,
         "angular vibration of the sensors' housing about right, front, up. The true attitude is"
         " that of the housing",
+        usual_range=(0, 1e6),
+        acts_as="process",
     )
-    vibration_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
-        30.0, "undamped natural frequency of vibration"
+    vibration_hz: vt.Bandwidth = field(
+        30.0, "undamped natural frequency of vibration", acts_as="process_shape"
     )
-    vibration_damping: Annotated[vt.Damping, acting("process_shape")] = field(
-        0.05, "damping ratio of vibration"
+    vibration_damping: vt.Damping = field(
+        0.05, "damping ratio of vibration", acts_as="process_shape"
     )
+
+
+_WHITE = "white noise sigma of one sample; alternative to the random walk"
+_WALK = "angle or velocity random walk; alternative to the noise"
+_INSTABILITY = (
+    "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of it"
+)
+_RATE_WALK = "rate or acceleration random walk, zero at the first sample"
+_RESOLUTION = "resolution of angle or velocity output; remainders carry over to the next sample"
+_CROSS_AXIS = (
+    "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor x"
+    " senses"
+)
+
+
+def _error(acts_as: vt.Effect, largest: float, meaning: str, **given: Any) -> Any:
+    """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
+    least = -largest if acts_as in ("bias", "distortion") else 0
+    given = {"default": 0.0, "usual_range": (least, largest), "acts_as": acts_as} | given
+    return field(meaning=meaning, **given)
 
 
 class SensorsSection(Section):
@@ -312,70 +340,36 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[vt.Vector, acting("bias", -1e5, 1e5)] = field(
-        0.0, "constant bias, measured minus true"
+    gyro_bias_deg_per_h: vt.Vector = _error("bias", 36e3, "constant bias, measured minus true")
+    gyro_noise_deg_per_h: vt.NoisePerAxis | None = _error(
+        "noise", 1e5, _WHITE, default=None, otherwise="no noise"
     )
-    gyro_noise_deg_per_h: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e6)] | None = field(
-        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
+    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = _error(
+        "noise", 3, _WALK, default=None, alternative_to="gyro_noise_deg_per_h"
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[
-        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
-        KeyInfo(acts_as="noise", alternative_to="gyro_noise_deg_per_h"),
-    ] = field(None, "angle or velocity random walk; alternative to the noise")
-    gyro_instability_deg_per_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
-        0.0,
-        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
-        " it",
+    gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
+    gyro_instability_time_s: vt.Period = field(
+        300.0, "correlation time of the bias instability", acts_as="process_shape"
     )
-    gyro_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        300.0, "correlation time of the bias instability"
+    gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
+    gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
+    gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
+    accel_bias_ug: vt.Vector = _error("bias", 2e5, "constant bias, measured minus true")
+    accel_noise_ug: vt.NoisePerAxis | None = _error(
+        "noise", 1e6, _WHITE, default=None, otherwise="no noise"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
-        0.0, "rate or acceleration random walk, zero at the first sample"
+    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = _error(
+        "noise", 5e3, _WALK, default=None, alternative_to="accel_noise_ug"
     )
-    gyro_quantisation_arcsec: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e4)] = field(
-        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
+    accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
+    accel_instability_time_s: vt.Period = field(
+        300.0, "correlation time of the bias instability", acts_as="process_shape"
     )
-    gyro_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
-        0.0, "scale factor error"
-    )
-    gyro_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
-        0.0,
-        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
-        " x senses",
-    )
-    accel_bias_ug: Annotated[vt.Vector, acting("bias", -1e6, 1e6)] = field(
-        0.0, "constant bias, measured minus true"
-    )
-    accel_noise_ug: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e7)] | None = field(
-        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
-    )
-    accel_vrw_ug_per_sqrt_hz: Annotated[
-        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
-        KeyInfo(acts_as="noise", alternative_to="accel_noise_ug"),
-    ] = field(None, "angle or velocity random walk; alternative to the noise")
-    accel_instability_ug: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
-        0.0,
-        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
-        " it",
-    )
-    accel_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        300.0, "correlation time of the bias instability"
-    )
-    accel_rrw_ug_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
-        0.0, "rate or acceleration random walk, zero at the first sample"
-    )
-    accel_quantisation_um_per_s: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e6)] = field(
-        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
-    )
-    accel_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
-        0.0, "scale factor error"
-    )
-    accel_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
-        0.0,
-        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
-        " x senses",
-    )
+    accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
+    accel_quantisation_um_per_s: vt.NoisePerAxis = _error("quantum", 1e5, _RESOLUTION)
+    accel_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
 
 
 def _check_axes_order(order: str) -> str:
