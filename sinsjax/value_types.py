@@ -98,7 +98,7 @@ class KeyCondition(NamedTuple):
     refused: bool = False
 
 
-def field(default: Any, meaning: str, otherwise: Any = None, **properties: Any) -> Any:
+def field(default: Any, meaning: str, otherwise: Any = None, /, **properties: Any) -> Any:
     """Return the field of a key, whose name ends in its unit.
 
     Args:

@@ -65,8 +65,8 @@ class CompassSection(Section):
         ),
     )
 
-    level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = field(
-        None, "decay rate sigma of the levelling loop"
+    level_sigma_per_s: Bandwidth | None = field(
+        None, "decay rate sigma of the levelling loop", default=0.02
     )
     level_adjustment_s: Seconds | None = field(
         None, "alternative to level_sigma_per_s: see adjustment_reading"
@@ -77,14 +77,14 @@ class CompassSection(Section):
         " velocity integral K3 (rad/(m s))",
     )
     level_damping: Damping = field(loops.PAPER_DAMPING, "damping ratio of the levelling loop")
-    level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = field(
-        None, "levelling of both channels before the azimuth loop"
+    level_time_s: SecondsOrZero | None = field(
+        None, "levelling of both channels before the azimuth loop", default=150.0, time="s"
     )
-    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = field(
-        None, "levelling time in passes; alternative to level_time_s"
+    level_passes: Annotated[Count, Field(ge=1)] | None = field(
+        None, "levelling time in passes; alternative to level_time_s", time="pass"
     )
-    azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = field(
-        None, "decay rate sigma of the azimuth loop"
+    azimuth_sigma_per_s: Bandwidth | None = field(
+        None, "decay rate sigma of the azimuth loop", default=0.01
     )
     azimuth_adjustment_s: Seconds | None = field(
         None, "alternative to azimuth_sigma_per_s: see adjustment_reading"
@@ -106,11 +106,11 @@ class CompassSection(Section):
     sigma_factors: Factors = field(
         (1.0,), "factors on the azimuth sigma in intervals, the first from the start"
     )
-    sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = field(
-        None, "start times of the later intervals of sigma_factors"
+    sigma_times_s: Times | None = field(
+        None, "start times of the later intervals of sigma_factors", whole="sample", time="s"
     )
-    sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = field(
-        None, "passes before the later intervals; alternative to sigma_times_s"
+    sigma_passes: PassNumbers | None = field(
+        None, "passes before the later intervals; alternative to sigma_times_s", time="pass"
     )
     allow_unstable: bool = field(
         False, "whether to run loops that are unstable, or too fast for the sample time"

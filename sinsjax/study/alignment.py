@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, WrapValidator
 from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
 from sinsjax.methods.registry import METHODS, external_names
-from sinsjax.value_types import KeyCondition, KeyInfo, Section, field, rule_error
+from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
@@ -66,21 +66,29 @@ class AlignmentSection(Section):
     position: Literal["fixed", "integrated"] = field(
         "fixed", "'fixed': constant. 'integrated': latitude and longitude from computed velocity"
     )
-    specific_force: Annotated[
-        Literal["measured", "gravity"] | None, KeyInfo(default="measured")
-    ] = field(
+    specific_force: Literal["measured", "gravity"] | None = field(
         None,
         "specific force in the error model. 'measured': accelerometer output in the computed"
         " attitude. 'gravity': that of a base at rest",
+        default="measured",
     )
-    feedback_interval_s: Annotated[vt.Seconds | None, KeyInfo(whole="sample")] = field(
-        None, "interval between feedbacks into the navigation solution", "one sample"
+    feedback_interval_s: vt.Seconds | None = field(
+        None,
+        "interval between feedbacks into the navigation solution",
+        "one sample",
+        whole="sample",
     )
-    feedback_time_constant_s: Annotated[vt.SecondsOrZero | None, KeyInfo(default=0.0)] = field(
+    feedback_time_constant_s: vt.SecondsOrZero | None = field(
         None,
         "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
         " 0",
+        default=0.0,
     )
+
+
+_Reversal = Literal[
+    "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
+]
 
 
 class PassesSection(Section):
@@ -101,8 +109,10 @@ class PassesSection(Section):
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: Annotated[vt.Seconds | None, KeyInfo(whole="record")] = field(
-        None, "length of the stored record. Without it a run reads all data once, forward"
+    stored_s: vt.Seconds | None = field(
+        None,
+        "length of the stored record. Without it a run reads all data once, forward",
+        whole="record",
     )
     passes: Annotated[vt.Count, Field(ge=1)] | None = field(
         None, "number of passes", "set by `ending`"
@@ -118,30 +128,26 @@ class PassesSection(Section):
         " propagated back to the record's start",
         "'alternate'",
     )
-    turn: Annotated[
-        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None,
-        KeyInfo(default="reflect"),
-    ] = field(
+    turn: _Reversal | None = field(
         None,
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
         " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
         " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
+        default="reflect",
     )
-    turn_smoothing_s: Annotated[vt.Seconds | None, KeyInfo(default=5.0)] = field(
-        None, "delay of the low-pass filter on specific force for the tilt of 'reflect'"
+    turn_smoothing_s: vt.Seconds | None = field(
+        None,
+        "delay of the low-pass filter on specific force for the tilt of 'reflect'",
+        default=5.0,
     )
-    turn_covariance: Annotated[
-        Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
-    ] = field(
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = field(
         None,
         "P after a reversal. 'carried': unchanged. 'inflated': multiplied by turn_inflation."
         " 'reset': P0",
+        default="carried",
     )
-    turn_inflation: Annotated[vt.Factor | None, KeyInfo(default=10.0)] = field(
-        None, "factor on P with 'inflated'"
-    )
+    turn_inflation: vt.Factor | None = field(None, "factor on P with 'inflated'", default=10.0)
 
 
 def _is_aligned(method: str) -> bool:

@@ -24,7 +24,6 @@ from sinsjax.records.layout import (
 from sinsjax.value_types import (
     Effect,
     KeyCondition,
-    KeyInfo,
     Section,
     field,
     key_info,
@@ -42,10 +41,11 @@ class StudySection(Section):
         "length of each run. Includes passes and coarse alignment, unless that hands over a record",
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: Annotated[vt.Positive, KeyInfo(usual_range=(1e-3, 1e6))] = field(
+    rate_hz: vt.Positive = field(
         cast(float, None),
         "sensor sample rate. Required in a simulation and without time stamps; must match a"
         " record's rate",
+        usual_range=(1e-3, 1e6),
     )
     record_interval_s: vt.Seconds = field(
         1.0, "interval of the record times for settling times, statistics and curves"
@@ -60,7 +60,7 @@ class StudySection(Section):
     settle_bands_arcmin: vt.Bands = field(
         (60.0, 10.0, 3.0), "half-widths of the heading bands for settling times"
     )
-    window_s: Annotated[tuple[vt.NonNegative, vt.Positive], KeyInfo(usual_range=(0, 1e8))] = field(
+    window_s: tuple[vt.NonNegative, vt.Positive] = field(
         ...,
         "start and end of the window for error means and deviations",
         "the last third of the duration",
@@ -68,6 +68,7 @@ class StudySection(Section):
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
+        usual_range=(0, 1e8),
     )
     consistency_after_s: vt.SecondsOrZero = field(
         10.0, "time after which p_above_error_share and p_above_floor_error_share count"
@@ -140,21 +141,22 @@ class EarthSection(Section):
         "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
         " ellipsoid with normal gravity",
     )
-    gravity_m_per_s2: Annotated[vt.Positive, KeyInfo(usual_range=(9, 10.5))] | None = field(
-        None, "gravity", 9.8
+    gravity_m_per_s2: vt.Positive | None = field(None, "gravity", 9.8, usual_range=(9, 10.5))
+    radius_m: vt.Positive | None = field(
+        None, "radius of the sphere", 6378137.0, usual_range=(6e6, 7e6)
     )
-    radius_m: Annotated[vt.Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = field(
-        None, "radius of the sphere", 6378137.0
-    )
-    earth_rate_deg_per_h: Annotated[vt.Positive, KeyInfo(usual_range=(10, 20))] | None = field(
-        None, "Earth rotation rate", 15.041067
+    earth_rate_deg_per_h: vt.Positive | None = field(
+        None, "Earth rotation rate", 15.041067, usual_range=(10, 20)
     )
     latitude_deg: vt.Elevation | None = field(
         None,
         "latitude, positive north. Required in a simulation, and if a record's header lacks it",
     )
-    height_m: Annotated[vt.Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = field(
-        None, "height above the ellipsoid or sphere", "that in the record's header, or 0"
+    height_m: vt.Finite | None = field(
+        None,
+        "height above the ellipsoid or sphere",
+        "that in the record's header, or 0",
+        usual_range=(-12e3, 1e6),
     )
 
 
@@ -325,11 +327,10 @@ _CROSS_AXIS = (
 )
 
 
-def _error(acts_as: vt.Effect, largest: float, meaning: str, **given: Any) -> Any:
+def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
     """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
     least = -largest if acts_as in ("bias", "distortion") else 0
-    given = {"default": 0.0, "usual_range": (least, largest), "acts_as": acts_as} | given
-    return field(meaning=meaning, **given)
+    return field(0.0, meaning, usual_range=(least, largest), acts_as=acts_as)
 
 
 class SensorsSection(Section):
@@ -341,11 +342,11 @@ class SensorsSection(Section):
     )
 
     gyro_bias_deg_per_h: vt.Vector = _error("bias", 36e3, "constant bias, measured minus true")
-    gyro_noise_deg_per_h: vt.NoisePerAxis | None = _error(
-        "noise", 1e5, _WHITE, default=None, otherwise="no noise"
+    gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
+        None, _WHITE, "no noise", usual_range=(0, 1e5), acts_as="noise"
     )
-    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = _error(
-        "noise", 3, _WALK, default=None, alternative_to="gyro_noise_deg_per_h"
+    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = field(
+        None, _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
     )
     gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
     gyro_instability_time_s: vt.Period = field(
@@ -356,11 +357,11 @@ class SensorsSection(Section):
     gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
     gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
     accel_bias_ug: vt.Vector = _error("bias", 2e5, "constant bias, measured minus true")
-    accel_noise_ug: vt.NoisePerAxis | None = _error(
-        "noise", 1e6, _WHITE, default=None, otherwise="no noise"
+    accel_noise_ug: vt.NoisePerAxis | None = field(
+        None, _WHITE, "no noise", usual_range=(0, 1e6), acts_as="noise"
     )
-    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = _error(
-        "noise", 5e3, _WALK, default=None, alternative_to="accel_noise_ug"
+    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = field(
+        None, _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
     )
     accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
     accel_instability_time_s: vt.Period = field(
@@ -438,11 +439,17 @@ class RecordSection(Section):
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
         None, "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
-        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
+    gyro_scale: vt.Vector | None = field(
+        None,
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        "1",
+        usual_range=(-1e6, 1e6),
     )
-    accel_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
-        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
+    accel_scale: vt.Vector | None = field(
+        None,
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        "1",
+        usual_range=(-1e6, 1e6),
     )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
         "xyz",
