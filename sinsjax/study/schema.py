@@ -490,14 +490,12 @@ class RecordSection(Section):
         self._check_times()
         needed = ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
-            given = [key for key in _COLUMN_KEYS if getattr(self, key) is not None]
-            if self.format == "arrays":
-                given += ["axes_order"] if self.axes_order != "xyz" else []
-                given += ["mounting_deg"] if self.mounting_deg is not None else []
+            axes = ("axes_order", "mounting_deg") if self.format == "arrays" else ()
             why = "fixes it" if self.format == "psins" else "has it already"
-            for key in given:
-                text = f"does not apply to format '{self.format}', which {why} (drop it)"
-                raise rule_error(text, key=key)
+            for key in (*_COLUMN_KEYS, *axes):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    text = f"does not apply to format '{self.format}', which {why} (drop it)"
+                    raise rule_error(text, key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:

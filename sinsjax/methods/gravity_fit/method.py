@@ -190,8 +190,7 @@ class GravityFitSection(Section):
     )
     fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias")
     fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = _believed(
-        "velocity random walk of each accelerometer, above 0",
-        "the white noise of [sensors]",
+        "velocity random walk of each accelerometer, above 0", "the white noise of [sensors]"
     )
 
 
