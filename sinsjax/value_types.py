@@ -52,6 +52,7 @@ class KeyInfo(NamedTuple):
             in if the study gives an alternative key, see `Section.exclusive`.
         beside: a key that must be given, not as 'none', for the default to be filled in.
         same_as: meaning of an omitted key: the value of another key, or a number.
+        otherwise: meaning of an omitted key for a reader: a number, or words.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
         merged: whether a search merges times of a list that round to the same sample; otherwise it
@@ -69,6 +70,7 @@ class KeyInfo(NamedTuple):
     default: Any = None
     beside: str | None = None
     same_as: str | float | None = None
+    otherwise: str | float | None = None
     whole: str | None = None
     merged: bool = False
     time: str | None = None
@@ -108,7 +110,7 @@ def field(default: Any, meaning: str, otherwise: Any = None, /, **properties: An
         properties: those of `KeyInfo`, and further arguments of pydantic's ``Field``.
     """
     info = {name: properties.pop(name) for name in KeyInfo._fields if name in properties}
-    extra: Any = {"default": otherwise, "info": KeyInfo(**info)}
+    extra: Any = {"info": KeyInfo(otherwise=otherwise, **info)}
     return Field(default, description=meaning, json_schema_extra=extra, **properties)
 
 
@@ -125,6 +127,11 @@ def key_info(field: FieldInfo) -> KeyInfo:
             if value != KeyInfo._field_defaults[name]:
                 given.setdefault(name, value)
     return KeyInfo(**given)
+
+
+def otherwise(section: "type[Section]", key: str) -> Any:
+    """Return what an omitted key means, see `KeyInfo.otherwise`."""
+    return key_info(section.model_fields[key]).otherwise
 
 
 def _iterate_key_infos(parts: Iterable[Any]) -> Iterator[KeyInfo]:
@@ -281,12 +288,6 @@ class Section(BaseModel):
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
         keys = [first, *(key for key, info in infos.items() if info.alternative_to == first)]
         return MappingProxyType({key: si_factor(key) / si_factor(first) for key in keys})
-
-    @classmethod
-    def otherwise(cls, key: str) -> Any:
-        """Return what an omitted key means, see `field`; None if its default states it."""
-        shown = cls.model_fields[key].json_schema_extra
-        return shown.get("default") if isinstance(shown, dict) else None
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

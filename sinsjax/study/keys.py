@@ -214,7 +214,7 @@ def _build_key(section: str, name: str, field: FieldInfo) -> Key:
         section,
         name,
         split_unit(name)[1],
-        _format_default(field, TABLES[section].otherwise(name)),
+        _format_default(field),
         text,
         key_info(field),
         reading_methods(name) if is_leaf else tuple(METHODS),
@@ -222,12 +222,12 @@ def _build_key(section: str, name: str, field: FieldInfo) -> Key:
     )
 
 
-def _format_default(field: FieldInfo, otherwise: Any) -> str:
+def _format_default(field: FieldInfo) -> str:
     """Return the default of a key in its words, or as a file writes it; empty without one."""
-    if isinstance(otherwise, str):
-        return otherwise
     info = key_info(field)
-    for value in (otherwise, info.default, info.same_as, field.default):
+    if isinstance(info.otherwise, str):
+        return info.otherwise
+    for value in (info.otherwise, info.default, info.same_as, field.default):
         if value not in (None, PydanticUndefined):
             return format_toml(value)
     return "required" if field.is_required() else ""

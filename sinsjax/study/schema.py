@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sinsjax import columns
 from sinsjax import value_types as vt
 from sinsjax.messages import shorten
 from sinsjax.records.layout import (
@@ -27,6 +26,7 @@ from sinsjax.value_types import (
     Section,
     field,
     key_info,
+    otherwise,
     require_unique,
     rule_error,
 )
@@ -84,13 +84,13 @@ class StudySection(Section):
         "'truth'",
     )
     success_band_arcmin: vt.Band | None = field(
-        None, "largest final heading error of a successful run", columns.SUCCESS_BAND_ARCMIN
+        None, "largest final heading error of a successful run", 10.0
     )
     level_band_arcmin: vt.Band | None = field(
         None,
         "largest final level error of a successful run, from truth plus the tilt due to"
         " accelerometer biases",
-        columns.SUCCESS_BAND_ARCMIN,
+        10.0,
     )
     dwell_s: vt.SecondsOrZero | None = field(
         None,
@@ -101,7 +101,7 @@ class StudySection(Section):
         None,
         "final heading error from the bias floor (truth without one) above which an unsuccessful"
         " run diverged",
-        columns.DIVERGED_DEG,
+        10.0,
     )
     report_times_s: vt.ReportTimes | None = field(
         None, "times of heading error, sigma and NEES in the summary, from the first sample", "none"
@@ -161,7 +161,7 @@ class EarthSection(Section):
 
 
 EARTH_CONSTANTS: dict[str, float] = {
-    key: EarthSection.otherwise(key) for key in EarthSection.conditions[0].keys
+    key: otherwise(EarthSection, key) for key in EarthSection.conditions[0].keys
 }
 """Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
