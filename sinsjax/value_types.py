@@ -100,18 +100,19 @@ class KeyCondition(NamedTuple):
     refused: bool = False
 
 
-def field(default: Any, meaning: str, otherwise: Any = None, /, **properties: Any) -> Any:
+def field(meaning: str, default: Any = None, /, **properties: Any) -> Any:
     """Return the field of a key, whose name ends in its unit.
 
     Args:
-        default: value of an omitted key in the study; ``...`` if it is required.
         meaning: description, without unit and default.
-        otherwise: what an omitted key means, if ``default`` does not state it: a number, or words.
+        default: value of an omitted key in the study; ``...`` if it is required.
         properties: those of `KeyInfo`, and further arguments of pydantic's ``Field``.
     """
     info = {name: properties.pop(name) for name in KeyInfo._fields if name in properties}
-    extra: Any = {"info": KeyInfo(otherwise=otherwise, **info)}
-    return Field(default, description=meaning, json_schema_extra=extra, **properties)
+    extra: Any = {"info": KeyInfo(**info)}
+    if "default_factory" not in properties:
+        properties["default"] = default
+    return Field(description=meaning, json_schema_extra=extra, **properties)
 
 
 ROUNDING = 1e-9

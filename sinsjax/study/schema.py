@@ -35,35 +35,33 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: vt.Name = field(..., "name in reports and manifests", "the file's stem")
+    name: vt.Name = field("name in reports and manifests", ..., otherwise="the file's stem")
     duration_s: vt.Seconds = field(
-        ...,
         "length of each run. Includes passes and coarse alignment, unless that hands over a record",
+        ...,
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
     rate_hz: vt.Positive = field(
-        cast(float, None),
         "sensor sample rate. Required in a simulation and without time stamps; must match a"
         " record's rate",
+        cast(float, None),
         usual_range=(1e-3, 1e6),
     )
     record_interval_s: vt.Seconds = field(
-        1.0, "interval of the record times for settling times, statistics and curves"
+        "interval of the record times for settling times, statistics and curves", 1.0
     )
     draws: Annotated[vt.Count, Field(ge=1)] | None = field(
-        None,
         "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
-        "64 in a simulation",
+        otherwise="64 in a simulation",
     )
-    estimate: Literal["draws"] = field("draws", "how errors are found: 'draws', Monte Carlo")
-    seed: int = field(1, "random seed", ge=0, lt=2**63)
+    estimate: Literal["draws"] = field("how errors are found: 'draws', Monte Carlo", "draws")
+    seed: int = field("random seed", 1, ge=0, lt=2**63)
     settle_bands_arcmin: vt.Bands = field(
-        (60.0, 10.0, 3.0), "half-widths of the heading bands for settling times"
+        "half-widths of the heading bands for settling times", (60.0, 10.0, 3.0)
     )
     window_s: tuple[vt.NonNegative, vt.Positive] = field(
-        ...,
         "start and end of the window for error means and deviations",
-        "the last third of the duration",
+        otherwise="the last third of the duration",
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
@@ -71,46 +69,43 @@ class StudySection(Section):
         usual_range=(0, 1e8),
     )
     consistency_after_s: vt.SecondsOrZero = field(
-        10.0, "time after which p_above_error_share and p_above_floor_error_share count"
+        "time after which p_above_error_share and p_above_floor_error_share count", 10.0
     )
     steady_after_s: vt.SecondsOrZero = field(
-        300.0, "time after which p_above_error_steady_share counts"
+        "time after which p_above_error_steady_share counts", 300.0
     )
-    curves: bool = field(False, "whether a sweep stores errors at record times in `curves/`")
+    curves: bool = field("whether a sweep stores errors at record times in `curves/`", False)
     judged_from: Literal["truth", "floor"] | None = field(
-        None,
         "reference for success. 'truth': true north, or the record's reference. 'floor': the bias"
         " floor",
-        "'truth'",
+        otherwise="'truth'",
     )
     success_band_arcmin: vt.Band | None = field(
-        None, "largest final heading error of a successful run", 10.0
+        "largest final heading error of a successful run", otherwise=10.0
     )
     level_band_arcmin: vt.Band | None = field(
-        None,
         "largest final level error of a successful run, from truth plus the tilt due to"
         " accelerometer biases",
-        10.0,
+        otherwise=10.0,
     )
     dwell_s: vt.SecondsOrZero | None = field(
-        None,
         "uninterrupted final time in the heading band that success requires",
-        "the smaller of 30 s and a tenth of the run",
+        otherwise="the smaller of 30 s and a tenth of the run",
     )
     diverged_deg: vt.AngleSigma | None = field(
-        None,
         "final heading error from the bias floor (truth without one) above which an unsuccessful"
         " run diverged",
-        10.0,
+        otherwise=10.0,
     )
     report_times_s: vt.ReportTimes | None = field(
-        None, "times of heading error, sigma and NEES in the summary, from the first sample", "none"
+        "times of heading error, sigma and NEES in the summary, from the first sample",
+        otherwise="none",
     )
     unchecked: bool | None = field(
-        None, "whether to accept values outside their usual ranges", "false"
+        "whether to accept values outside their usual ranges", otherwise="false"
     )
     external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = field(
-        None, "programs whose results `sinsjax score` stored in the study's directory", "none"
+        "programs whose results `sinsjax score` stored in the study's directory", otherwise="none"
     )
 
     @model_validator(mode="after")
@@ -137,25 +132,23 @@ class EarthSection(Section):
     )
 
     earth: Literal["constants", "wgs84"] = field(
-        "constants",
         "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
         " ellipsoid with normal gravity",
+        "constants",
     )
-    gravity_m_per_s2: vt.Positive | None = field(None, "gravity", 9.8, usual_range=(9, 10.5))
+    gravity_m_per_s2: vt.Positive | None = field("gravity", otherwise=9.8, usual_range=(9, 10.5))
     radius_m: vt.Positive | None = field(
-        None, "radius of the sphere", 6378137.0, usual_range=(6e6, 7e6)
+        "radius of the sphere", otherwise=6378137.0, usual_range=(6e6, 7e6)
     )
     earth_rate_deg_per_h: vt.Positive | None = field(
-        None, "Earth rotation rate", 15.041067, usual_range=(10, 20)
+        "Earth rotation rate", otherwise=15.041067, usual_range=(10, 20)
     )
     latitude_deg: vt.Elevation | None = field(
-        None,
-        "latitude, positive north. Required in a simulation, and if a record's header lacks it",
+        "latitude, positive north. Required in a simulation, and if a record's header lacks it"
     )
     height_m: vt.Finite | None = field(
-        None,
         "height above the ellipsoid or sphere",
-        "that in the record's header, or 0",
+        otherwise="that in the record's header, or 0",
         usual_range=(-12e3, 1e6),
     )
 
@@ -221,96 +214,92 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: vt.Elevation = field(0.0, "mean pitch, positive front up")
-    pitch_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    pitch_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    pitch_phase_deg: vt.Angle = field(0.0, "phase")
-    roll_center_deg: vt.HalfTurn = field(0.0, "mean roll, positive right side down")
-    roll_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    roll_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    roll_phase_deg: vt.Angle = field(0.0, "phase")
+    pitch_center_deg: vt.Elevation = field("mean pitch, positive front up", 0.0)
+    pitch_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    pitch_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    pitch_phase_deg: vt.Angle = field("phase", 0.0)
+    roll_center_deg: vt.HalfTurn = field("mean roll, positive right side down", 0.0)
+    roll_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    roll_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    roll_phase_deg: vt.Angle = field("phase", 0.0)
     yaw_center_deg: vt.Angle | None = field(
-        None,
         "mean yaw, counter-clockwise from north (minus heading). Required in a simulation without"
-        " attitude_file",
+        " attitude_file"
     )
-    yaw_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    yaw_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    yaw_phase_deg: vt.Angle = field(0.0, "phase")
+    yaw_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    yaw_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    yaw_phase_deg: vt.Angle = field("phase", 0.0)
     lever_arm_m: vt.Vector = field(
-        0.0,
         "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis",
+        0.0,
         usual_range=(-300, 300),
     )
     turn_times_s: vt.EventTimes | None = field(
-        None, "start times of turns from the first sample, rounded to whole samples", "no turns"
+        "start times of turns from the first sample, rounded to whole samples", otherwise="no turns"
     )
     turn_angles_deg: vt.Numbers | None = field(
-        None,
         "turn angles, positive counter-clockwise from above: one for all or per turn. An"
         " unfinished turn continues to the end: 1e6 for a carousel",
-        180.0,
+        otherwise=180.0,
         usual_range=(-1e8, 1e8),
     )
     turn_rate_deg_per_s: vt.Positive | None = field(
-        None, "turn rate, adjusted to whole samples per turn", 10.0, usual_range=(1e-3, 3600)
+        "turn rate, adjusted to whole samples per turn", otherwise=10.0, usual_range=(1e-3, 3600)
     )
     turn_ramp_s: vt.Positive | None = field(
-        None, "time to reach the turn rate, and to stop", 1.0, usual_range=(1e-3, 1e3)
+        "time to reach the turn rate, and to stop", otherwise=1.0, usual_range=(1e-3, 1e3)
     )
     turn_repeat_s: vt.Seconds | None = field(
-        None, "interval at which turns repeat until the end", "no repetition"
+        "interval at which turns repeat until the end", otherwise="no repetition"
     )
     turn_axis: Literal["vertical", "body"] | None = field(
-        None,
         "'vertical': the vehicle turns, with its pitch and roll axes. 'body': a turntable on the"
         " swaying vehicle turns the sensors about z",
-        "'vertical'",
+        otherwise="'vertical'",
     )
     attitude_file: vt.Name | None = field(
-        None,
         "text or Parquet file instead of angles and turns, with time_s, pitch_deg, roll_deg and"
         " yaw_deg (or heading_deg), interpolated by cubic splines; smooth noisy data first. Cannot"
         " be swept",
-        "none",
+        otherwise="none",
     )
     surge_m_per_s: vt.NoisePerAxis = field(
-        0.0,
         "rms velocity of surge, random motion about a fixed place, along east, north, up",
+        0.0,
         usual_range=(0, 10),
         acts_as="process",
     )
     surge_time_s: vt.Period = field(
-        5.0, "correlation time of the surge velocity", acts_as="process_shape"
+        "correlation time of the surge velocity", 5.0, acts_as="process_shape"
     )
     surge_bandwidth_hz: vt.Bandwidth = field(
-        1.0,
         "surge bandwidth, which limits acceleration; only for 'third_order'",
+        1.0,
         acts_as="process_shape",
     )
     surge_model: Literal["third_order", "gauss_markov"] = field(
-        "third_order",
         "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
         " first-order Gauss-Markov velocity; acceleration grows with sample rate",
+        "third_order",
     )
     vibration_ug_rms: vt.NoisePerAxis = field(
-        0.0,
         "linear vibration of the sensors' housing along right, front, up",
+        0.0,
         usual_range=(0, 1e7),
         acts_as="process",
     )
     vibration_deg_per_h_rms: vt.NoisePerAxis = field(
-        0.0,
         "angular vibration of the sensors' housing about right, front, up. The true attitude is"
         " that of the housing",
+        0.0,
         usual_range=(0, 1e6),
         acts_as="process",
     )
     vibration_hz: vt.Bandwidth = field(
-        30.0, "undamped natural frequency of vibration", acts_as="process_shape"
+        "undamped natural frequency of vibration", 30.0, acts_as="process_shape"
     )
     vibration_damping: vt.Damping = field(
-        0.05, "damping ratio of vibration", acts_as="process_shape"
+        "damping ratio of vibration", 0.05, acts_as="process_shape"
     )
 
 
@@ -330,7 +319,7 @@ _CROSS_AXIS = (
 def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
     """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
     least = -largest if acts_as in ("bias", "distortion") else 0
-    return field(0.0, meaning, usual_range=(least, largest), acts_as=acts_as)
+    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
 
 
 class SensorsSection(Section):
@@ -343,14 +332,14 @@ class SensorsSection(Section):
 
     gyro_bias_deg_per_h: vt.Vector = _error("bias", 36e3, "constant bias, measured minus true")
     gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
-        None, _WHITE, "no noise", usual_range=(0, 1e5), acts_as="noise"
+        _WHITE, otherwise="no noise", usual_range=(0, 1e5), acts_as="noise"
     )
     gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = field(
-        None, _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
+        _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
     )
     gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
     gyro_instability_time_s: vt.Period = field(
-        300.0, "correlation time of the bias instability", acts_as="process_shape"
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
     gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
     gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
@@ -358,14 +347,14 @@ class SensorsSection(Section):
     gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
     accel_bias_ug: vt.Vector = _error("bias", 2e5, "constant bias, measured minus true")
     accel_noise_ug: vt.NoisePerAxis | None = field(
-        None, _WHITE, "no noise", usual_range=(0, 1e6), acts_as="noise"
+        _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
     )
     accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = field(
-        None, _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
+        _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
     )
     accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
     accel_instability_time_s: vt.Period = field(
-        300.0, "correlation time of the bias instability", acts_as="process_shape"
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
     accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
     accel_quantisation_um_per_s: vt.NoisePerAxis = _error("quantum", 1e5, _RESOLUTION)
@@ -394,95 +383,89 @@ class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = field(
-        ...,
         "format of the record. 'csv': text with a header line. 'parquet': Apache Parquet. 'psins':"
         " PSINS text. 'arrays': Python arrays. The last two fix columns and units, 'arrays' also"
         " axes",
+        ...,
     )
     from_s: vt.SecondsOrZero | None = field(
-        None, "start and end of the used part, from the record's beginning", "its beginning"
+        "start and end of the used part, from the record's beginning", otherwise="its beginning"
     )
     to_s: vt.Seconds | None = field(
-        None, "start and end of the used part, from the record's beginning", "its end"
+        "start and end of the used part, from the record's beginning", otherwise="its end"
     )
     columns: vt.Columns | None = field(
-        None,
         "column names of a text file without them",
-        "those in the file, or column_1, column_2, ...",
+        otherwise="those in the file, or column_1, column_2, ...",
     )
     skip_rows: vt.Count | None = field(
-        None, "lines of a text file before its column names or samples", "0"
+        "lines of a text file before its column names or samples", otherwise="0"
     )
     quantity: Literal["increments", "rates"] | None = field(
-        None,
         "sensor columns: 'increments' (integrals over each sample) or 'rates' (means)",
-        "by the units",
+        otherwise="by the units",
     )
     time_column: str | None = field(
-        None, "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
+        "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
     )
     time_fraction_column: vt.Name | None = field(
-        None, "column of the fraction of a second that time_column lacks, such as nsecs"
+        "column of the fraction of a second that time_column lacks, such as nsecs"
     )
     time_fraction_unit: Literal["ms", "us", "ns"] | None = field(
-        None, "unit of time_fraction_column: 'ms', 'us' or 'ns'", "'ns'"
+        "unit of time_fraction_column: 'ms', 'us' or 'ns'", otherwise="'ns'"
     )
-    gyro_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
-    accel_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
+    gyro_columns: vt.Triad | None = field("columns of the x, y, z sensors")
+    accel_columns: vt.Triad | None = field("columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
         field(
-            None,
             "unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s', 'deg_per_s',"
-            " 'deg_per_h'",
+            " 'deg_per_h'"
         )
     )
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
-        None, "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
+        "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
     gyro_scale: vt.Vector | None = field(
-        None,
         "multiplier for all columns, or per column: one count in the unit, or -1",
-        "1",
+        otherwise="1",
         usual_range=(-1e6, 1e6),
     )
     accel_scale: vt.Vector | None = field(
-        None,
         "multiplier for all columns, or per column: one count in the unit, or -1",
-        "1",
+        otherwise="1",
         usual_range=(-1e6, 1e6),
     )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
-        "xyz",
         "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
         " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
+        "xyz",
     )
     mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
-        None,
         "attitude of the IMU (after axes_order) in the vehicle: pitch, roll, counter-clockwise"
         " yaw. Attitudes are then the vehicle's",
-        "0, 0, 0",
+        otherwise="0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
-        None,
         "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of day",
-        "'s'",
+        otherwise="'s'",
     )
-    time_scale: vt.Factor | None = field(None, "multiplier of the time stamps", "1")
+    time_scale: vt.Factor | None = field("multiplier of the time stamps", otherwise="1")
     start_s: vt.Starts = field(
-        ...,
         "start times, coarse alignment included, one per draw, from the record's beginning",
-        "from_s, else 0",
+        otherwise="from_s, else 0",
         default_factory=lambda given: (given.get("from_s") or 0.0,),
     )
     max_gap_s: vt.SecondsOrZero | None = field(
-        None, "longest gap between good samples that is interpolated", "0"
+        "longest gap between good samples that is interpolated", otherwise="0"
     )
     gyro_bias_deg_per_h: vt.GyroNoise | None = field(
-        None, "largest bias that the check accepts", "10 or with low noise 4.5"
+        "largest bias that the check accepts", otherwise="10 or with low noise 4.5"
     )
-    accel_bias_ug: vt.AccelNoise | None = field(None, "largest bias that the check accepts", "5000")
+    accel_bias_ug: vt.AccelNoise | None = field(
+        "largest bias that the check accepts", otherwise="5000"
+    )
     trust: bool | None = field(
-        None, "whether to align despite errors that the check finds", "false"
+        "whether to align despite errors that the check finds", otherwise="false"
     )
 
     @model_validator(mode="after")
@@ -583,11 +566,11 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: vt.IncreasingPair | None = field(None, "[low, high]")
-    normal: vt.Normal | None = field(None, "[mean, standard deviation]")
-    values: ListEntries | None = field(None, "one per draw, repeated from the first")
+    uniform: vt.IncreasingPair | None = field("[low, high]")
+    normal: vt.Normal | None = field("[mean, standard deviation]")
+    values: ListEntries | None = field("one per draw, repeated from the first")
     grid: ListEntries | None = field(
-        None, "grid values; the draws are the product of all grids, the last key fastest"
+        "grid values; the draws are the product of all grids, the last key fastest"
     )
 
     @property
@@ -610,8 +593,8 @@ class DrawnSection(Section):
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
     sampling: Literal["random", "sobol"] = field(
-        "random",
         "'random': independent numbers. 'sobol': scrambled Sobol points of all drawn keys together",
+        "random",
     )
 
     @property
@@ -623,12 +606,12 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: vt.Seconds = field(300.0, "available alignment time: whole seconds, 10 to 7200")
+    time_s: vt.Seconds = field("available alignment time: whole seconds, 10 to 7200", 300.0)
     wanted_deg: vt.AngleSigma | None = field(
-        None, "heading error that 95 % of alignments must not exceed"
+        "heading error that 95 % of alignments must not exceed"
     )
     known_heading_deg: vt.AngleSigma | None = field(
-        None, "1 sigma of prior heading knowledge", "nothing is known"
+        "1 sigma of prior heading knowledge", otherwise="nothing is known"
     )
 
 
@@ -636,14 +619,14 @@ class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
     statistic: vt.Name = field(
-        ...,
         "'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin; both follow"
         " judged_from",
+        ...,
     )
     half_width: vt.Positive = field(
-        ...,
         "half-width of its 95 % interval, in the variant where it is widest, that ends the study:"
         " a fraction for 'success_rate', else s",
+        ...,
     )
 
 
@@ -658,13 +641,13 @@ Searches = Annotated[
 class Range(Section):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: vt.Finite | None = field(None, "ends of the range")
-    high: vt.Finite | None = field(None, "ends of the range")
+    low: vt.Finite | None = field("ends of the range")
+    high: vt.Finite | None = field("ends of the range")
     scale: Literal["linear", "log"] | None = field(
-        None, "spacing of the values: 'linear', or 'log' for equal ratios", "'linear'"
+        "spacing of the values: 'linear', or 'log' for equal ratios", otherwise="'linear'"
     )
-    fixed: Any = field(None, "single value")
-    candidates: ListEntries | None = field(None, "values to try")
+    fixed: Any = field("single value")
+    candidates: ListEntries | None = field("values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -695,60 +678,58 @@ class TuneSection(Section):
     """[tune]: objective, variables and searches of `sinsjax tune`."""
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = field(
-        "settle_mean",
         "'settle_mean': mean settling time, unsettled runs counting with their length."
         " 'settle_quantile': its quantile. 'final_error': rms final heading error. 'failure_rate':"
         " fraction of unsettled runs",
+        "settle_mean",
     )
     objective_band_arcmin: vt.Band = field(
-        10.0, "heading band: one of settle_bands_arcmin, or the success band"
+        "heading band: one of settle_bands_arcmin, or the success band", 10.0
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = field(
-        0.9, "quantile for 'settle_quantile'"
+        "quantile for 'settle_quantile'", 0.9
     )
     objective_across: Literal["mean", "worst"] = field(
-        "mean", "objective over several variants: 'mean' or 'worst'"
+        "objective over several variants: 'mean' or 'worst'", "mean"
     )
     searches: Searches = field(
-        ("grid", "gradient"),
         "'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times are tuned,"
         " each also evaluates the reset law's schedule",
+        ("grid", "gradient"),
     )
     tune_draws: Some | None = field(
-        None,
         "draws for searches; in a recorded study every second start time",
-        "16 in a simulation",
+        otherwise="16 in a simulation",
     )
     evaluation_draws: Some | None = field(
-        None,
         "other draws, to compare the best points with the baseline; in a recorded study the other"
         " start times",
-        "64 in a simulation",
+        otherwise="64 in a simulation",
     )
     grid_points: Annotated[vt.Count, Field(ge=2)] = field(
-        15, "points per variable of a 'grid' search; at most two variables"
+        "points per variable of a 'grid' search; at most two variables", 15
     )
-    sobol_points: Some = field(256, "points of a 'sobol' search per combination of candidates")
+    sobol_points: Some = field("points of a 'sobol' search per combination of candidates", 256)
     descent_screen: Some = field(
-        16,
         "Sobol points evaluated before the descents, which start from the best; on `descent_draws`"
         " draws",
+        16,
     )
-    descent_starts: Some = field(4, "parallel descents")
-    descent_steps: Some = field(16, "steps of a descent")
-    descent_draws: Some = field(4, "new draws per step")
-    descent_rate: vt.Positive = field(0.1, "Adam learning rate, in lengths of the ranges")
+    descent_starts: Some = field("parallel descents", 4)
+    descent_steps: Some = field("steps of a descent", 16)
+    descent_draws: Some = field("new draws per step", 4)
+    descent_rate: vt.Positive = field("Adam learning rate, in lengths of the ranges", 0.1)
     relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
-        (4.0, 1.0),
         "half-widths of smooth reset windows at the first and last step; only if a variable moves"
         " a reset",
+        (4.0, 1.0),
     )
     relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
-        (6.0, 16.0), "sharpness of the smooth heading band edge at the first and last step"
+        "sharpness of the smooth heading band edge at the first and last step", (6.0, 16.0)
     )
     variables: dict[str, Range | tuple[Range, ...]] = field(
-        ..., "tuned keys with their ranges, the table [tune.variables]"
+        "tuned keys with their ranges, the table [tune.variables]", ...
     )
     baseline: dict[str, Any] = field(
-        {}, "values to compare with, the table [tune.baseline]", "the study's"
+        "values to compare with, the table [tune.baseline]", {}, otherwise="the study's"
     )

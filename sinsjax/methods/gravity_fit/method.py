@@ -169,7 +169,7 @@ def build(options: method.Options) -> method.Program:
 
 
 def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
-    return field(None, meaning, default)
+    return field(meaning, otherwise=default)
 
 
 class GravityFitSection(Section):
