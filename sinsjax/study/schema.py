@@ -330,7 +330,7 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: vt.Vector = _error("bias", 36e3, "constant bias, measured minus true")
+    gyro_bias_deg_per_h: vt.Vector = _error("bias", 1e5, "constant bias, measured minus true")
     gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
         _WHITE, otherwise="no noise", usual_range=(0, 1e5), acts_as="noise"
     )
@@ -345,7 +345,7 @@ class SensorsSection(Section):
     gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
     gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
     gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
-    accel_bias_ug: vt.Vector = _error("bias", 2e5, "constant bias, measured minus true")
+    accel_bias_ug: vt.Vector = _error("bias", 5e5, "constant bias, measured minus true")
     accel_noise_ug: vt.NoisePerAxis | None = field(
         _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
     )
