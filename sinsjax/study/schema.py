@@ -344,7 +344,7 @@ class SensorsSection(Section):
     gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
     gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
     gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
-    gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
+    gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
     accel_bias_ug: vt.Vector = _error("bias", 5e5, "constant bias, measured minus true")
     accel_noise_ug: vt.NoisePerAxis | None = field(
         _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
@@ -359,7 +359,7 @@ class SensorsSection(Section):
     accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
     accel_quantisation_um_per_s: vt.NoisePerAxis = _error("quantum", 1e5, _RESOLUTION)
     accel_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
-    accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 2e4, _CROSS_AXIS)
+    accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
 def _check_axes_order(order: str) -> str:
