@@ -22,7 +22,6 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from sinsjax import columns
 from sinsjax.messages import CONTROL
 from sinsjax.units import si_factor
 
@@ -154,18 +153,11 @@ def require_unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _require_distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject bands whose result columns would share a name."""
-    if len({columns.settle_column(band).name for band in bands}) < len(bands):
+def _require_distinct_columns(values: tuple[float, ...]) -> tuple[float, ...]:
+    """Reject bands or report times whose result columns would share a name."""
+    if len({f"{value:g}" for value in values}) < len(values):
         raise rule_error("repeats a value, to the 6 digits in its column name (drop one)")
-    return bands
-
-
-def _require_distinct_report_columns(times_s: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject report times whose result columns would share a name."""
-    if len({columns.report_time_columns(time) for time in times_s}) < len(times_s):
-        raise rule_error("repeats a value, to the 6 digits in its column names (drop one)")
-    return times_s
+    return values
 
 
 def _require_increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -224,7 +216,7 @@ ReportTimes = Annotated[
     tuple[Seconds, ...],
     Field(min_length=1),
     AfterValidator(_require_increasing),
-    AfterValidator(_require_distinct_report_columns),
+    AfterValidator(_require_distinct_columns),
 ]
 Bands = Annotated[
     tuple[Band, ...], AfterValidator(require_unique), AfterValidator(_require_distinct_columns)
