@@ -171,6 +171,9 @@ TURN_KEYS = (
 """Keys of turns of the base."""
 
 
+_AMPLITUDES = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg")
+
+
 def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
@@ -184,21 +187,13 @@ class MotionSection(Section):
     """
 
     conditions = (
-        *(
-            KeyCondition(
-                (f"{angle}_period_s", f"{angle}_phase_deg"),
-                (f"{angle}_amplitude_deg",),
-                _any_nonzero,
-            )
-            for angle in ("pitch", "roll", "yaw")
-        ),
+        KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
+        KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
+        KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
         KeyCondition(
             ("lever_arm_m",),
-            (
-                *(TURN_KEYS[0], "attitude_file", "vibration_deg_per_h_rms"),
-                *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
-            ),
+            ("turn_times_s", "attitude_file", "vibration_deg_per_h_rms", *_AMPLITUDES),
             _rotates,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
@@ -378,6 +373,11 @@ _COLUMN_KEYS = (
 )
 """Keys of [record] that describe columns."""
 
+_TIME_KEYS = dict.fromkeys(("time_unit", "time_scale", "time_fraction_column"), "time_column") | {
+    "time_fraction_unit": "time_fraction_column"
+}
+"""Keys of [record] that need another one."""
+
 
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
@@ -506,12 +506,9 @@ class RecordSection(Section):
         return RecordLayout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
-        for key in ("time_unit", "time_scale", "time_fraction_column"):
-            if getattr(self, key) is not None and self.time_column is None:
-                raise rule_error("requires a time_column (give it, or drop this)", key=key)
-        if self.time_fraction_unit is not None and self.time_fraction_column is None:
-            text = "requires a time_fraction_column (give it, or drop this)"
-            raise rule_error(text, key="time_fraction_unit")
+        for key, needed in _TIME_KEYS.items():
+            if getattr(self, key) is not None and getattr(self, needed) is None:
+                raise rule_error(f"requires a {needed} (give it, or drop this)", key=key)
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
