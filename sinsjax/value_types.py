@@ -52,6 +52,7 @@ class KeyInfo(NamedTuple):
         beside: a key that must be given, not as 'none', for the default to be filled in.
         same_as: meaning of an omitted key: the value of another key, or a number.
         otherwise: meaning of an omitted key for a reader: a number, or words.
+        in_simulation: value of an omitted key in a simulation; a record determines its own.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
         merged: whether a search merges times of a list that round to the same sample; otherwise it
@@ -70,6 +71,7 @@ class KeyInfo(NamedTuple):
     beside: str | None = None
     same_as: str | float | None = None
     otherwise: str | float | None = None
+    in_simulation: int | None = None
     whole: str | None = None
     merged: bool = False
     time: str | None = None

@@ -225,6 +225,8 @@ def _format_default(field: FieldInfo) -> str:
     info = key_info(field)
     if isinstance(info.otherwise, str):
         return info.otherwise
+    if info.in_simulation is not None:
+        return f"{info.in_simulation} in a simulation"
     for value in (info.otherwise, info.default, info.same_as, field.default):
         if value not in (None, PydanticUndefined):
             return format_toml(value)

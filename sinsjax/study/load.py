@@ -59,7 +59,7 @@ __all__ = [
     "with_point",
 ]
 
-_DEFAULT_DRAWS = 64
+_DEFAULT_DRAWS = KEYS["study", "draws"].info.in_simulation
 _DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
     "draws": _DEFAULT_DRAWS,
     "height_m": 0.0,

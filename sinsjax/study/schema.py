@@ -52,7 +52,7 @@ class StudySection(Section):
     )
     draws: Annotated[vt.Count, Field(ge=1)] | None = field(
         "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
-        otherwise="64 in a simulation",
+        in_simulation=64,
     )
     estimate: Literal["draws"] = field("how errors are found: 'draws', Monte Carlo", "draws")
     seed: int = field("random seed", 1, ge=0, lt=2**63)
@@ -696,12 +696,12 @@ class TuneSection(Section):
     )
     tune_draws: Some | None = field(
         "draws for searches; in a recorded study every second start time",
-        otherwise="16 in a simulation",
+        in_simulation=16,
     )
     evaluation_draws: Some | None = field(
         "other draws, to compare the best points with the baseline; in a recorded study the other"
         " start times",
-        otherwise="64 in a simulation",
+        in_simulation=64,
     )
     grid_points: Annotated[vt.Count, Field(ge=2)] = field(
         "points per variable of a 'grid' search; at most two variables", 15

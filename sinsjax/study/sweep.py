@@ -24,6 +24,7 @@ from sinsjax.study.keys import (
     TUNABLE,
     TomlTable,
     alternative_keys,
+    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.resolved import Dimension
@@ -42,7 +43,7 @@ _LAW_MEANINGS = {
 _LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.items())
 _RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
-_TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
+_TUNING_DRAWS = {key: leaf_info(key).in_simulation for key in ("tune_draws", "evaluation_draws")}
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
 """Settings of [tune] of the search 'covariance' of version 1.0."""
 
