@@ -28,12 +28,6 @@ is none). not_settled: the rest.
 FAILED = ("diverged", "nonfinite")
 """The statuses that progress and verdicts count as failed."""
 
-SUCCESS_BAND_ARCMIN = 10.0
-"""Default band within which the heading and level errors of a successful run end."""
-
-DIVERGED_DEG = 10.0
-"""Default final distance of phi_u from its bias floor beyond which a run has diverged."""
-
 
 class Column(NamedTuple):
     """Name, type, unit and meaning of a column."""
@@ -192,22 +186,6 @@ def report_time_columns(time_s: float) -> tuple[Column, Column, Column]:
         column(f"sigma_u_at_{at}_arcmin", f"sigma_u_arcmin at {at} s of data"),
         column(f"nees_at_{at}", f"nees at {at} s of data; 3 degrees of freedom"),
     )
-
-
-INFORMATION_BOUND = (
-    column("variant_id", "point of the study's axes", _I),
-    CURVES[1],
-    column("bound_u_arcmin", "least 1 sigma of phi_u of any unbiased estimator"),
-)
-"""Columns of `sinsjax.information_bound`."""
-
-
-def settling_bands(
-    study_bands: Iterable[float], success_band: float | None = None
-) -> tuple[float, ...]:
-    """A study's settling bands, including its success band, arcmin."""
-    decisive = SUCCESS_BAND_ARCMIN if success_band is None else success_band
-    return tuple(dict.fromkeys((*study_bands, decisive)))
 
 
 def axis_column(key: str, values: Iterable[Any], meaning: str) -> Column:

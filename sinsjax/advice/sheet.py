@@ -224,6 +224,7 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     motion = dict(data.get("motion", {}))
     tables = {"study": study, "earth": data["earth"], "motion": motion, "sensors": sensors}
     checked = tables | _with_heading(motion, drawn) | {"alignment": {"method": "inertial"}}
+    checked["study"] = study | {"unchecked": True}  # `_check_noise` knows sheets better
     study_from_dict(without_empty(checked), name)
     for key, law in drawn.items():
         if key not in (*CONSTANT_KEYS, "yaw_center_deg"):

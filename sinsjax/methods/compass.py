@@ -65,55 +65,53 @@ class CompassSection(Section):
         ),
     )
 
-    level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = field(
-        None, "decay rate sigma of the levelling loop"
+    level_sigma_per_s: Bandwidth | None = field(
+        "decay rate sigma of the levelling loop", default=0.02
     )
     level_adjustment_s: Seconds | None = field(
-        None, "alternative to level_sigma_per_s: see adjustment_reading"
+        "alternative to level_sigma_per_s: see adjustment_reading"
     )
     level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = field(
-        None,
         "gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport rates),"
-        " velocity integral K3 (rad/(m s))",
+        " velocity integral K3 (rad/(m s))"
     )
-    level_damping: Damping = field(loops.PAPER_DAMPING, "damping ratio of the levelling loop")
-    level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = field(
-        None, "levelling of both channels before the azimuth loop"
+    level_damping: Damping = field("damping ratio of the levelling loop", loops.PAPER_DAMPING)
+    level_time_s: SecondsOrZero | None = field(
+        "levelling of both channels before the azimuth loop", default=150.0, time="s"
     )
-    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = field(
-        None, "levelling time in passes; alternative to level_time_s"
+    level_passes: Annotated[Count, Field(ge=1)] | None = field(
+        "levelling time in passes; alternative to level_time_s", time="pass"
     )
-    azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = field(
-        None, "decay rate sigma of the azimuth loop"
+    azimuth_sigma_per_s: Bandwidth | None = field(
+        "decay rate sigma of the azimuth loop", default=0.01
     )
     azimuth_adjustment_s: Seconds | None = field(
-        None, "alternative to azimuth_sigma_per_s: see adjustment_reading"
+        "alternative to azimuth_sigma_per_s: see adjustment_reading"
     )
     azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = field(
-        None,
         "gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4 (1/s) of the"
-        " azimuth control K3 / (omega_N (s + K4))",
+        " azimuth control K3 / (omega_N (s + K4))"
     )
-    azimuth_damping: Damping = field(loops.PAPER_DAMPING, "damping ratio of the azimuth loop")
+    azimuth_damping: Damping = field("damping ratio of the azimuth loop", loops.PAPER_DAMPING)
     adjustment_reading: Literal["period", "settling"] = field(
-        "period",
         "adjustment time. 'period': of the damped oscillation. 'settling': until exp(-sigma t)"
         " falls to adjustment_remainder",
+        "period",
     )
     adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = field(
-        0.05, "exp(-sigma t) after 'settling'"
+        "exp(-sigma t) after 'settling'", 0.05
     )
     sigma_factors: Factors = field(
-        (1.0,), "factors on the azimuth sigma in intervals, the first from the start"
+        "factors on the azimuth sigma in intervals, the first from the start", (1.0,)
     )
-    sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = field(
-        None, "start times of the later intervals of sigma_factors"
+    sigma_times_s: Times | None = field(
+        "start times of the later intervals of sigma_factors", whole="sample", time="s"
     )
-    sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = field(
-        None, "passes before the later intervals; alternative to sigma_times_s"
+    sigma_passes: PassNumbers | None = field(
+        "passes before the later intervals; alternative to sigma_times_s", time="pass"
     )
     allow_unstable: bool = field(
-        False, "whether to run loops that are unstable, or too fast for the sample time"
+        "whether to run loops that are unstable, or too fast for the sample time", False
     )
 
 

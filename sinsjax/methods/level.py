@@ -33,7 +33,7 @@ class LevelSection(Section):
     """[level]: assumption of accelerometer levelling."""
 
     level_accel_bias_ug: AccelSigma = field(
-        5000.0, "accelerometer bias assumed in the 1 sigma of pitch and roll"
+        "accelerometer bias assumed in the 1 sigma of pitch and roll", 5000.0
     )
 
 

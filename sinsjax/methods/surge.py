@@ -100,8 +100,8 @@ def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
 class SurgeSection(Section):
     """[surge]: assumed surge of the base."""
 
-    r_surge_m_per_s: SpeedSigma = field(0.1, "rms velocity along east and north")
-    r_surge_time_s: Seconds = field(5.0, "correlation time of the velocity")
+    r_surge_m_per_s: SpeedSigma = field("rms velocity along east and north", 0.1)
+    r_surge_time_s: Seconds = field("correlation time of the velocity", 5.0)
 
 
 def params(keys: StudyKeys, xp: Any) -> FilterParams:

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, WrapValidator
 from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
 from sinsjax.methods.registry import METHODS, external_names
-from sinsjax.value_types import KeyCondition, KeyInfo, Section, field, rule_error
+from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
@@ -37,50 +37,55 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = field("kalman5", "see `sinsjax keys METHOD`")
+    method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
     phi_e0_deg: vt.HalfTurn = field(
-        0.0,
         "initial misalignment about east; the three angles rotate the computed to the true"
         " attitude",
+        0.0,
     )
     phi_n0_deg: vt.HalfTurn = field(
-        0.0,
         "initial misalignment about north; the three angles rotate the computed to the true"
         " attitude",
+        0.0,
     )
     phi_u0_deg: vt.HalfTurn = field(
-        0.0,
         "initial misalignment about up, the heading error; the three angles rotate the computed to"
         " the true attitude",
+        0.0,
     )
     misalignment: Literal["vector", "euler"] = field(
-        "vector",
         "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
+        "vector",
     )
     ve0_m_per_s: vt.Speed = field(
-        0.0, "initial computed east velocity; an error, since the base does not travel"
+        "initial computed east velocity; an error, since the base does not travel", 0.0
     )
     vn0_m_per_s: vt.Speed = field(
-        0.0, "initial computed north velocity; an error, since the base does not travel"
+        "initial computed north velocity; an error, since the base does not travel", 0.0
     )
     position: Literal["fixed", "integrated"] = field(
-        "fixed", "'fixed': constant. 'integrated': latitude and longitude from computed velocity"
+        "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )
-    specific_force: Annotated[
-        Literal["measured", "gravity"] | None, KeyInfo(default="measured")
-    ] = field(
-        None,
+    specific_force: Literal["measured", "gravity"] | None = field(
         "specific force in the error model. 'measured': accelerometer output in the computed"
         " attitude. 'gravity': that of a base at rest",
+        default="measured",
     )
-    feedback_interval_s: Annotated[vt.Seconds | None, KeyInfo(whole="sample")] = field(
-        None, "interval between feedbacks into the navigation solution", "one sample"
+    feedback_interval_s: vt.Seconds | None = field(
+        "interval between feedbacks into the navigation solution",
+        otherwise="one sample",
+        whole="sample",
     )
-    feedback_time_constant_s: Annotated[vt.SecondsOrZero | None, KeyInfo(default=0.0)] = field(
-        None,
+    feedback_time_constant_s: vt.SecondsOrZero | None = field(
         "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
         " 0",
+        default=0.0,
     )
+
+
+_Reversal = Literal[
+    "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
+]
 
 
 class PassesSection(Section):
@@ -101,47 +106,38 @@ class PassesSection(Section):
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: Annotated[vt.Seconds | None, KeyInfo(whole="record")] = field(
-        None, "length of the stored record. Without it a run reads all data once, forward"
+    stored_s: vt.Seconds | None = field(
+        "length of the stored record. Without it a run reads all data once, forward", whole="record"
     )
     passes: Annotated[vt.Count, Field(ge=1)] | None = field(
-        None, "number of passes", "set by `ending`"
+        "number of passes", otherwise="set by `ending`"
     )
     ending: Literal["duration", "forward"] = field(
-        "duration",
         "end of a run without `passes`. 'duration': duration_s, even within a pass. 'forward': the"
         " last complete forward pass within it",
+        "duration",
     )
     direction: Literal["alternate", "rewind"] | None = field(
-        None,
         "'alternate': every second pass backward. 'rewind': all forward, each from the attitude"
         " propagated back to the record's start",
-        "'alternate'",
+        otherwise="'alternate'",
     )
-    turn: Annotated[
-        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None,
-        KeyInfo(default="reflect"),
-    ] = field(
-        None,
+    turn: _Reversal | None = field(
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
         " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
         " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
+        default="reflect",
     )
-    turn_smoothing_s: Annotated[vt.Seconds | None, KeyInfo(default=5.0)] = field(
-        None, "delay of the low-pass filter on specific force for the tilt of 'reflect'"
+    turn_smoothing_s: vt.Seconds | None = field(
+        "delay of the low-pass filter on specific force for the tilt of 'reflect'", default=5.0
     )
-    turn_covariance: Annotated[
-        Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
-    ] = field(
-        None,
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = field(
         "P after a reversal. 'carried': unchanged. 'inflated': multiplied by turn_inflation."
         " 'reset': P0",
+        default="carried",
     )
-    turn_inflation: Annotated[vt.Factor | None, KeyInfo(default=10.0)] = field(
-        None, "factor on P with 'inflated'"
-    )
+    turn_inflation: vt.Factor | None = field("factor on P with 'inflated'", default=10.0)
 
 
 def _is_aligned(method: str) -> bool:
@@ -168,15 +164,14 @@ class CoarseSection(Section):
     )
 
     coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(
-        "inertial",
         "'inertial': rotation of gravity in inertial space, for a swaying base. 'analytic': mean"
         " specific force and rate, for a base at rest; only to hand over a record. 'optimisation':"
         " least squares of integrated velocities. 'none': only in a simulation",
+        "inertial",
     )
-    coarse_duration_s: vt.Seconds = field(60.0, "duration")
+    coarse_duration_s: vt.Seconds = field("duration", 60.0)
     coarse_then: Literal["hand_over", "replay"] | None = field(
-        None,
         "'hand_over': the method starts with the data that follow. 'replay': with the first"
         " sample, from the coarse attitude propagated back",
-        "'hand_over'",
+        otherwise="'hand_over'",
     )

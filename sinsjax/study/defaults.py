@@ -48,10 +48,6 @@ class GivenKeys(NamedTuple):
         return {value if isinstance(value, str) else default}  # others are refused later
 
 
-def _draws(given: GivenKeys) -> int | None:
-    return None if given.is_recorded else 64
-
-
 def _height(given: GivenKeys) -> float | None:
     return None if given.is_recorded else 0.0
 
@@ -65,7 +61,6 @@ def _feedback_interval(given: GivenKeys) -> float | None:
 
 _WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
 _DEPENDENT: dict[str, Callable[[GivenKeys], Any]] = {
-    "draws": _draws,
     "height_m": _height,
     "feedback_interval_s": _feedback_interval,
     **dict.fromkeys(_WHITE_NOISE, lambda given: 0.0),
@@ -82,6 +77,8 @@ def dependent_default(key: str, given: GivenKeys) -> Any:
         others = {key, *others}
     if any(map(given.gives, others)):
         return None
+    if info.in_simulation is not None:
+        return None if given.is_recorded else info.in_simulation
     if key in EARTH_CONSTANTS:
         return EARTH_CONSTANTS[key]
     if key in _DEPENDENT:

@@ -134,10 +134,8 @@ def leaf_info(key: str) -> KeyInfo:
 
 
 def key_meaning(key: str) -> str:
-    """Return the description of a leaf key in its section."""
-    if key not in SECTION_OF:
-        return "label of the case"
-    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
+    """Return the meaning of a leaf key, or of the label of cases."""
+    return KEYS[SECTION_OF[key], key].meaning if key in SECTION_OF else "label of the case"
 
 
 def key_summary(section: str, key: str) -> str:
@@ -214,7 +212,7 @@ def _build_key(section: str, name: str, field: FieldInfo) -> Key:
         section,
         name,
         split_unit(name)[1],
-        _format_default(field, TABLES[section].otherwise(name)),
+        _format_default(field),
         text,
         key_info(field),
         reading_methods(name) if is_leaf else tuple(METHODS),
@@ -222,12 +220,14 @@ def _build_key(section: str, name: str, field: FieldInfo) -> Key:
     )
 
 
-def _format_default(field: FieldInfo, otherwise: Any) -> str:
+def _format_default(field: FieldInfo) -> str:
     """Return the default of a key in its words, or as a file writes it; empty without one."""
-    if isinstance(otherwise, str):
-        return otherwise
     info = key_info(field)
-    for value in (otherwise, info.default, info.same_as, field.default):
+    if isinstance(info.otherwise, str):
+        return info.otherwise
+    if info.in_simulation is not None:
+        return f"{info.in_simulation} in a simulation"
+    for value in (info.otherwise, info.default, info.same_as, field.default):
         if value not in (None, PydanticUndefined):
             return format_toml(value)
     return "required" if field.is_required() else ""
@@ -344,52 +344,42 @@ def section_purpose(model: type[Section]) -> str:
 
 def study_schema() -> TomlTable:
     """Return the JSON schema of a study file, draft 7. It has no rules between keys."""
+    definitions, tables = dict[str, TomlTable](), dict[str, TomlTable]()
+    for table, model in TABLES.items():
+        properties = model.model_json_schema()["properties"]
+        for name in properties:
+            key = KEYS[table, name]
+            parts = {"unit": key.unit, "default": key.default, "methods": key.readers_text}
+            known = "; ".join(f"{part}: {text}" for part, text in parts.items() if text)
+            definitions[f"{table}.{name}"] = _simplify_schema(properties[name]) | {
+                "description": f"{key.meaning}; {known}"
+            }
+        known_keys = {name: _reference(f"{table}.{name}") for name in properties}
+        tables[table] = _object_of(known_keys, section_purpose(model))
     swept = {
-        key: _reference(f"{name}.{key}") for key, name in SECTION_OF.items() if name in SWEEPABLE
+        key: tables[name]["properties"][key]
+        for key, name in SECTION_OF.items()
+        if name in SWEEPABLE
     }
-    lists = {key: _list_of(value) for key, value in swept.items()}
     tuned = {key: value for key, value in swept.items() if SECTION_OF[key] in TUNABLE}
+    lists = {key: _list_of(value) for key, value in swept.items()}
     tuned_range, zips = _reference("tune.variables.KEY"), _reference("axes.NAME")
-    ranges = {"anyOf": [tuned_range, _list_of(tuned_range)]}
-    properties = {name: model.model_json_schema()["properties"] for name, model in TABLES.items()}
-    definitions = {
-        f"{s}.{name}": _key_schema(properties[s][name], key) for (s, name), key in KEYS.items()
-    }
-    tables = {
-        name: _object_of(
-            {key: _reference(f"{name}.{key}") for key in model.model_fields},
-            section_purpose(model),
-        )
-        for name, model in TABLES.items()
-    }
-    tables["drawn"]["properties"] |= dict.fromkeys(schema.NUMBERS_DRAWN, _reference("drawn.KEY"))
-    axes = _object_of(
-        {key: {"anyOf": [value, zips]} for key, value in lists.items()},
-        "values over which keys are swept",
-    )
-    tables["axes"] = axes | {"additionalProperties": zips}
-    tables["cases"] = _list_of(_object_of({"case": {"type": "string"}, **swept}, "one case"))
+    ranges = dict.fromkeys(tuned, {"anyOf": [tuned_range, _list_of(tuned_range)]})
+    axes = {key: {"anyOf": [value, zips]} for key, value in lists.items()}
     definitions |= {
         "drawn.KEY": tables.pop("drawn.KEY"),
         "tune.variables.KEY": tables.pop("tune.variables.KEY"),
-        "tune.variables": _object_of(dict.fromkeys(tuned, ranges), "ranges of the tuned keys"),
+        "tune.variables": _object_of(ranges, "ranges of the tuned keys"),
         "tune.baseline": _object_of(tuned, "values to compare the tuned ones with"),
         "axes.NAME": _object_of(lists, "keys that are swept together"),
     }
-    return {
-        "$schema": "http://json-schema.org/draft-07/schema#",
-        "title": "sinsjax study",
-        **_object_of(tables),
-        "definitions": definitions,
-    }
-
-
-def _key_schema(value: TomlTable, key: Key) -> TomlTable:
-    """Return the schema of a key as `model_json_schema` gives it, with all that is known of it."""
-    unit = f"unit: {key.unit}; " if key.unit else ""
-    default = f"default: {key.default}; " if key.default else ""
-    text = f"{key.meaning}; {unit}{default}methods: {key.readers_text}"
-    return _simplify_schema(value) | {"description": text}
+    tables["drawn"]["properties"] |= dict.fromkeys(schema.NUMBERS_DRAWN, _reference("drawn.KEY"))
+    tables["axes"] = _object_of(axes, "values over which keys are swept")
+    tables["axes"]["additionalProperties"] = zips
+    tables["cases"] = _list_of(_object_of({"case": {"type": "string"}, **swept}, "one case"))
+    version = "http://json-schema.org/draft-07/schema#"
+    study = _object_of(tables) | {"definitions": definitions}
+    return {"$schema": version, "title": "sinsjax study", **study}
 
 
 def _simplify_schema(value: Any) -> Any:
@@ -398,7 +388,7 @@ def _simplify_schema(value: Any) -> Any:
         return [_simplify_schema(entry) for entry in value if entry != {"type": "null"}]
     if not isinstance(value, dict):
         return value
-    hidden = ("title", "default", "discriminator")
+    hidden = ("title", "default", "discriminator", "info")
     out = {key: _simplify_schema(entry) for key, entry in value.items() if key not in hidden}
     for kind in ("anyOf", "oneOf"):
         if len(out.get(kind, ())) == 1:

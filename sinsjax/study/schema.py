@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sinsjax import columns
 from sinsjax import value_types as vt
 from sinsjax.messages import shorten
 from sinsjax.records.layout import (
@@ -24,10 +23,10 @@ from sinsjax.records.layout import (
 from sinsjax.value_types import (
     Effect,
     KeyCondition,
-    KeyInfo,
     Section,
     field,
     key_info,
+    otherwise,
     require_unique,
     rule_error,
 )
@@ -36,80 +35,77 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: vt.Name = field(..., "name in reports and manifests", "the file's stem")
+    name: vt.Name = field("name in reports and manifests", ..., otherwise="the file's stem")
     duration_s: vt.Seconds = field(
-        ...,
         "length of each run. Includes passes and coarse alignment, unless that hands over a record",
+        ...,
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: Annotated[vt.Positive, KeyInfo(usual_range=(1e-3, 1e6))] = field(
-        cast(float, None),
+    rate_hz: vt.Positive = field(
         "sensor sample rate. Required in a simulation and without time stamps; must match a"
         " record's rate",
+        cast(float, None),
+        usual_range=(1e-3, 1e6),
     )
     record_interval_s: vt.Seconds = field(
-        1.0, "interval of the record times for settling times, statistics and curves"
+        "interval of the record times for settling times, statistics and curves", 1.0
     )
     draws: Annotated[vt.Count, Field(ge=1)] | None = field(
-        None,
         "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
-        "64 in a simulation",
+        in_simulation=64,
     )
-    estimate: Literal["draws"] = field("draws", "how errors are found: 'draws', Monte Carlo")
-    seed: int = field(1, "random seed", ge=0, lt=2**63)
+    estimate: Literal["draws"] = field("how errors are found: 'draws', Monte Carlo", "draws")
+    seed: int = field("random seed", 1, ge=0, lt=2**63)
     settle_bands_arcmin: vt.Bands = field(
-        (60.0, 10.0, 3.0), "half-widths of the heading bands for settling times"
+        "half-widths of the heading bands for settling times", (60.0, 10.0, 3.0)
     )
-    window_s: Annotated[tuple[vt.NonNegative, vt.Positive], KeyInfo(usual_range=(0, 1e8))] = field(
-        ...,
+    window_s: tuple[vt.NonNegative, vt.Positive] = field(
         "start and end of the window for error means and deviations",
-        "the last third of the duration",
+        otherwise="the last third of the duration",
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
+        usual_range=(0, 1e8),
     )
     consistency_after_s: vt.SecondsOrZero = field(
-        10.0, "time after which p_above_error_share and p_above_floor_error_share count"
+        "time after which p_above_error_share and p_above_floor_error_share count", 10.0
     )
     steady_after_s: vt.SecondsOrZero = field(
-        300.0, "time after which p_above_error_steady_share counts"
+        "time after which p_above_error_steady_share counts", 300.0
     )
-    curves: bool = field(False, "whether a sweep stores errors at record times in `curves/`")
+    curves: bool = field("whether a sweep stores errors at record times in `curves/`", False)
     judged_from: Literal["truth", "floor"] | None = field(
-        None,
         "reference for success. 'truth': true north, or the record's reference. 'floor': the bias"
         " floor",
-        "'truth'",
+        otherwise="'truth'",
     )
     success_band_arcmin: vt.Band | None = field(
-        None, "largest final heading error of a successful run", columns.SUCCESS_BAND_ARCMIN
+        "largest final heading error of a successful run", otherwise=10.0
     )
     level_band_arcmin: vt.Band | None = field(
-        None,
         "largest final level error of a successful run, from truth plus the tilt due to"
         " accelerometer biases",
-        columns.SUCCESS_BAND_ARCMIN,
+        otherwise=10.0,
     )
     dwell_s: vt.SecondsOrZero | None = field(
-        None,
         "uninterrupted final time in the heading band that success requires",
-        "the smaller of 30 s and a tenth of the run",
+        otherwise="the smaller of 30 s and a tenth of the run",
     )
     diverged_deg: vt.AngleSigma | None = field(
-        None,
         "final heading error from the bias floor (truth without one) above which an unsuccessful"
         " run diverged",
-        columns.DIVERGED_DEG,
+        otherwise=10.0,
     )
     report_times_s: vt.ReportTimes | None = field(
-        None, "times of heading error, sigma and NEES in the summary, from the first sample", "none"
+        "times of heading error, sigma and NEES in the summary, from the first sample",
+        otherwise="none",
     )
     unchecked: bool | None = field(
-        None, "whether to accept values outside their usual ranges", "false"
+        "whether to accept values outside their usual ranges", otherwise="false"
     )
     external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = field(
-        None, "programs whose results `sinsjax score` stored in the study's directory", "none"
+        "programs whose results `sinsjax score` stored in the study's directory", otherwise="none"
     )
 
     @model_validator(mode="after")
@@ -136,30 +132,29 @@ class EarthSection(Section):
     )
 
     earth: Literal["constants", "wgs84"] = field(
-        "constants",
         "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
         " ellipsoid with normal gravity",
+        "constants",
     )
-    gravity_m_per_s2: Annotated[vt.Positive, KeyInfo(usual_range=(9, 10.5))] | None = field(
-        None, "gravity", 9.8
+    gravity_m_per_s2: vt.Positive | None = field("gravity", otherwise=9.8, usual_range=(9, 10.5))
+    radius_m: vt.Positive | None = field(
+        "radius of the sphere", otherwise=6378137.0, usual_range=(6e6, 7e6)
     )
-    radius_m: Annotated[vt.Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = field(
-        None, "radius of the sphere", 6378137.0
-    )
-    earth_rate_deg_per_h: Annotated[vt.Positive, KeyInfo(usual_range=(10, 20))] | None = field(
-        None, "Earth rotation rate", 15.041067
+    earth_rate_deg_per_h: vt.Positive | None = field(
+        "Earth rotation rate", otherwise=15.041067, usual_range=(10, 20)
     )
     latitude_deg: vt.Elevation | None = field(
-        None,
-        "latitude, positive north. Required in a simulation, and if a record's header lacks it",
+        "latitude, positive north. Required in a simulation, and if a record's header lacks it"
     )
-    height_m: Annotated[vt.Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = field(
-        None, "height above the ellipsoid or sphere", "that in the record's header, or 0"
+    height_m: vt.Finite | None = field(
+        "height above the ellipsoid or sphere",
+        otherwise="that in the record's header, or 0",
+        usual_range=(-12e3, 1e6),
     )
 
 
 EARTH_CONSTANTS: dict[str, float] = {
-    key: EarthSection.otherwise(key) for key in EarthSection.conditions[0].keys
+    key: otherwise(EarthSection, key) for key in EarthSection.conditions[0].keys
 }
 """Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
@@ -176,13 +171,11 @@ TURN_KEYS = (
 """Keys of turns of the base."""
 
 
+_AMPLITUDES = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg")
+
+
 def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
-
-
-def acting(effect: Effect, low: float | int | None = None, high: float | int = 0) -> KeyInfo:
-    """Return the properties of a key that acts on base or sensors, with its usual range, if any."""
-    return KeyInfo(usual_range=None if low is None else (low, high), acts_as=effect)
 
 
 class MotionSection(Section):
@@ -194,21 +187,13 @@ class MotionSection(Section):
     """
 
     conditions = (
-        *(
-            KeyCondition(
-                (f"{angle}_period_s", f"{angle}_phase_deg"),
-                (f"{angle}_amplitude_deg",),
-                _any_nonzero,
-            )
-            for angle in ("pitch", "roll", "yaw")
-        ),
+        KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
+        KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
+        KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
         KeyCondition(
             ("lever_arm_m",),
-            (
-                *(TURN_KEYS[0], "attitude_file", "vibration_deg_per_h_rms"),
-                *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
-            ),
+            ("turn_times_s", "attitude_file", "vibration_deg_per_h_rms", *_AMPLITUDES),
             _rotates,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
@@ -224,84 +209,112 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: vt.Elevation = field(0.0, "mean pitch, positive front up")
-    pitch_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    pitch_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    pitch_phase_deg: vt.Angle = field(0.0, "phase")
-    roll_center_deg: vt.HalfTurn = field(0.0, "mean roll, positive right side down")
-    roll_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    roll_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    roll_phase_deg: vt.Angle = field(0.0, "phase")
+    pitch_center_deg: vt.Elevation = field("mean pitch, positive front up", 0.0)
+    pitch_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    pitch_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    pitch_phase_deg: vt.Angle = field("phase", 0.0)
+    roll_center_deg: vt.HalfTurn = field("mean roll, positive right side down", 0.0)
+    roll_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    roll_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    roll_phase_deg: vt.Angle = field("phase", 0.0)
     yaw_center_deg: vt.Angle | None = field(
-        None,
         "mean yaw, counter-clockwise from north (minus heading). Required in a simulation without"
-        " attitude_file",
+        " attitude_file"
     )
-    yaw_amplitude_deg: vt.Amplitude = field(0.0, "amplitude")
-    yaw_period_s: vt.Period = field(10.0, "period", "required with an amplitude")
-    yaw_phase_deg: vt.Angle = field(0.0, "phase")
-    lever_arm_m: Annotated[vt.Vector, KeyInfo(usual_range=(-1e3, 1e3))] = field(
-        0.0, "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis"
+    yaw_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    yaw_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    yaw_phase_deg: vt.Angle = field("phase", 0.0)
+    lever_arm_m: vt.Vector = field(
+        "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis",
+        0.0,
+        usual_range=(-300, 300),
     )
     turn_times_s: vt.EventTimes | None = field(
-        None, "start times of turns from the first sample, rounded to whole samples", "no turns"
+        "start times of turns from the first sample, rounded to whole samples", otherwise="no turns"
     )
-    turn_angles_deg: Annotated[vt.Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = field(
-        None,
+    turn_angles_deg: vt.Numbers | None = field(
         "turn angles, positive counter-clockwise from above: one for all or per turn. An"
         " unfinished turn continues to the end: 1e6 for a carousel",
-        180.0,
+        otherwise=180.0,
+        usual_range=(-1e8, 1e8),
     )
-    turn_rate_deg_per_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = field(
-        None, "turn rate, adjusted to whole samples per turn", 10.0
+    turn_rate_deg_per_s: vt.Positive | None = field(
+        "turn rate, adjusted to whole samples per turn", otherwise=10.0, usual_range=(1e-3, 3600)
     )
-    turn_ramp_s: Annotated[vt.Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = field(
-        None, "time to reach the turn rate, and to stop", 1.0
+    turn_ramp_s: vt.Positive | None = field(
+        "time to reach the turn rate, and to stop", otherwise=1.0, usual_range=(1e-3, 1e3)
     )
     turn_repeat_s: vt.Seconds | None = field(
-        None, "interval at which turns repeat until the end", "no repetition"
+        "interval at which turns repeat until the end", otherwise="no repetition"
     )
     turn_axis: Literal["vertical", "body"] | None = field(
-        None,
         "'vertical': the vehicle turns, with its pitch and roll axes. 'body': a turntable on the"
         " swaying vehicle turns the sensors about z",
-        "'vertical'",
+        otherwise="'vertical'",
     )
     attitude_file: vt.Name | None = field(
-        None,
         "text or Parquet file instead of angles and turns, with time_s, pitch_deg, roll_deg and"
         " yaw_deg (or heading_deg), interpolated by cubic splines; smooth noisy data first. Cannot"
         " be swept",
-        "none",
+        otherwise="none",
     )
-    surge_m_per_s: Annotated[vt.NoisePerAxis, acting("process", 0, 100)] = field(
-        0.0, "rms velocity of surge, random motion about a fixed place, along east, north, up"
+    surge_m_per_s: vt.NoisePerAxis = field(
+        "rms velocity of surge, random motion about a fixed place, along east, north, up",
+        0.0,
+        usual_range=(0, 10),
+        acts_as="process",
     )
-    surge_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        5.0, "correlation time of the surge velocity"
+    surge_time_s: vt.Period = field(
+        "correlation time of the surge velocity", 5.0, acts_as="process_shape"
     )
-    surge_bandwidth_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
-        1.0, "surge bandwidth, which limits acceleration; only for 'third_order'"
+    surge_bandwidth_hz: vt.Bandwidth = field(
+        "surge bandwidth, which limits acceleration; only for 'third_order'",
+        1.0,
+        acts_as="process_shape",
     )
     surge_model: Literal["third_order", "gauss_markov"] = field(
-        "third_order",
         "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
         " first-order Gauss-Markov velocity; acceleration grows with sample rate",
+        "third_order",
     )
-    vibration_ug_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
-        0.0, "linear vibration of the sensors' housing along right, front, up"
-    )
-    vibration_deg_per_h_rms: Annotated[vt.NoisePerAxis, acting("process", 0, 1e8)] = field(
+    vibration_ug_rms: vt.NoisePerAxis = field(
+        "linear vibration of the sensors' housing along right, front, up",
         0.0,
+        usual_range=(0, 1e7),
+        acts_as="process",
+    )
+    vibration_deg_per_h_rms: vt.NoisePerAxis = field(
         "angular vibration of the sensors' housing about right, front, up. The true attitude is"
         " that of the housing",
+        0.0,
+        usual_range=(0, 1e6),
+        acts_as="process",
     )
-    vibration_hz: Annotated[vt.Bandwidth, acting("process_shape")] = field(
-        30.0, "undamped natural frequency of vibration"
+    vibration_hz: vt.Bandwidth = field(
+        "undamped natural frequency of vibration", 30.0, acts_as="process_shape"
     )
-    vibration_damping: Annotated[vt.Damping, acting("process_shape")] = field(
-        0.05, "damping ratio of vibration"
+    vibration_damping: vt.Damping = field(
+        "damping ratio of vibration", 0.05, acts_as="process_shape"
     )
+
+
+_WHITE = "white noise sigma of one sample; alternative to the random walk"
+_WALK = "angle or velocity random walk; alternative to the noise"
+_INSTABILITY = (
+    "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of it"
+)
+_RATE_WALK = "rate or acceleration random walk, zero at the first sample"
+_RESOLUTION = "resolution of angle or velocity output; remainders carry over to the next sample"
+_CROSS_AXIS = (
+    "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor x"
+    " senses"
+)
+
+
+def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
+    """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
+    least = -largest if acts_as in ("bias", "distortion") else 0
+    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
 
 
 class SensorsSection(Section):
@@ -312,70 +325,36 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[vt.Vector, acting("bias", -1e5, 1e5)] = field(
-        0.0, "constant bias, measured minus true"
+    gyro_bias_deg_per_h: vt.Vector = _error("bias", 1e5, "constant bias, measured minus true")
+    gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
+        _WHITE, otherwise="no noise", usual_range=(0, 1e5), acts_as="noise"
     )
-    gyro_noise_deg_per_h: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e6)] | None = field(
-        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
+    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = field(
+        _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[
-        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
-        KeyInfo(acts_as="noise", alternative_to="gyro_noise_deg_per_h"),
-    ] = field(None, "angle or velocity random walk; alternative to the noise")
-    gyro_instability_deg_per_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
-        0.0,
-        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
-        " it",
+    gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
+    gyro_instability_time_s: vt.Period = field(
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
-    gyro_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        300.0, "correlation time of the bias instability"
+    gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
+    gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
+    gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
+    accel_bias_ug: vt.Vector = _error("bias", 5e5, "constant bias, measured minus true")
+    accel_noise_ug: vt.NoisePerAxis | None = field(
+        _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e4)] = field(
-        0.0, "rate or acceleration random walk, zero at the first sample"
+    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = field(
+        _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
     )
-    gyro_quantisation_arcsec: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e4)] = field(
-        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
+    accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
+    accel_instability_time_s: vt.Period = field(
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
-    gyro_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
-        0.0, "scale factor error"
-    )
-    gyro_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
-        0.0,
-        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
-        " x senses",
-    )
-    accel_bias_ug: Annotated[vt.Vector, acting("bias", -1e6, 1e6)] = field(
-        0.0, "constant bias, measured minus true"
-    )
-    accel_noise_ug: Annotated[vt.NoisePerAxis, acting("noise", 0, 1e7)] | None = field(
-        None, "white noise sigma of one sample; alternative to the random walk", "no noise"
-    )
-    accel_vrw_ug_per_sqrt_hz: Annotated[
-        Annotated[vt.NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
-        KeyInfo(acts_as="noise", alternative_to="accel_noise_ug"),
-    ] = field(None, "angle or velocity random walk; alternative to the noise")
-    accel_instability_ug: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
-        0.0,
-        "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of"
-        " it",
-    )
-    accel_instability_time_s: Annotated[vt.Period, acting("process_shape")] = field(
-        300.0, "correlation time of the bias instability"
-    )
-    accel_rrw_ug_per_sqrt_h: Annotated[vt.NoisePerAxis, acting("process", 0, 1e6)] = field(
-        0.0, "rate or acceleration random walk, zero at the first sample"
-    )
-    accel_quantisation_um_per_s: Annotated[vt.NoisePerAxis, acting("quantum", 0, 1e6)] = field(
-        0.0, "resolution of angle or velocity output; remainders carry over to the next sample"
-    )
-    accel_scale_ppm: Annotated[vt.Vector, acting("distortion", -1e6, 1e6)] = field(
-        0.0, "scale factor error"
-    )
-    accel_misalignment_arcsec: Annotated[vt.CrossAxis, acting("distortion", -1e5, 1e5)] = field(
-        0.0,
-        "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor"
-        " x senses",
-    )
+    accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
+    accel_quantisation_um_per_s: vt.NoisePerAxis = _error("quantum", 1e5, _RESOLUTION)
+    accel_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
 def _check_axes_order(order: str) -> str:
@@ -394,94 +373,99 @@ _COLUMN_KEYS = (
 )
 """Keys of [record] that describe columns."""
 
+_TIME_KEYS = dict.fromkeys(("time_unit", "time_scale", "time_fraction_column"), "time_column") | {
+    "time_fraction_unit": "time_fraction_column"
+}
+"""Keys of [record] that need another one."""
+
 
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = field(
-        ...,
         "format of the record. 'csv': text with a header line. 'parquet': Apache Parquet. 'psins':"
         " PSINS text. 'arrays': Python arrays. The last two fix columns and units, 'arrays' also"
         " axes",
+        ...,
     )
     from_s: vt.SecondsOrZero | None = field(
-        None, "start and end of the used part, from the record's beginning", "its beginning"
+        "start and end of the used part, from the record's beginning", otherwise="its beginning"
     )
     to_s: vt.Seconds | None = field(
-        None, "start and end of the used part, from the record's beginning", "its end"
+        "start and end of the used part, from the record's beginning", otherwise="its end"
     )
     columns: vt.Columns | None = field(
-        None,
         "column names of a text file without them",
-        "those in the file, or column_1, column_2, ...",
+        otherwise="those in the file, or column_1, column_2, ...",
     )
     skip_rows: vt.Count | None = field(
-        None, "lines of a text file before its column names or samples", "0"
+        "lines of a text file before its column names or samples", otherwise="0"
     )
     quantity: Literal["increments", "rates"] | None = field(
-        None,
         "sensor columns: 'increments' (integrals over each sample) or 'rates' (means)",
-        "by the units",
+        otherwise="by the units",
     )
     time_column: str | None = field(
-        None, "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
+        "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
     )
     time_fraction_column: vt.Name | None = field(
-        None, "column of the fraction of a second that time_column lacks, such as nsecs"
+        "column of the fraction of a second that time_column lacks, such as nsecs"
     )
     time_fraction_unit: Literal["ms", "us", "ns"] | None = field(
-        None, "unit of time_fraction_column: 'ms', 'us' or 'ns'", "'ns'"
+        "unit of time_fraction_column: 'ms', 'us' or 'ns'", otherwise="'ns'"
     )
-    gyro_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
-    accel_columns: vt.Triad | None = field(None, "columns of the x, y, z sensors")
+    gyro_columns: vt.Triad | None = field("columns of the x, y, z sensors")
+    accel_columns: vt.Triad | None = field("columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
         field(
-            None,
             "unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s', 'deg_per_s',"
-            " 'deg_per_h'",
+            " 'deg_per_h'"
         )
     )
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
-        None, "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
+        "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
-        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
+    gyro_scale: vt.Vector | None = field(
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        otherwise="1",
+        usual_range=(-1e6, 1e6),
     )
-    accel_scale: Annotated[vt.Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = field(
-        None, "multiplier for all columns, or per column: one count in the unit, or -1", "1"
+    accel_scale: vt.Vector | None = field(
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        otherwise="1",
+        usual_range=(-1e6, 1e6),
     )
     axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
-        "xyz",
         "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
         " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
+        "xyz",
     )
     mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
-        None,
         "attitude of the IMU (after axes_order) in the vehicle: pitch, roll, counter-clockwise"
         " yaw. Attitudes are then the vehicle's",
-        "0, 0, 0",
+        otherwise="0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
-        None,
         "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of day",
-        "'s'",
+        otherwise="'s'",
     )
-    time_scale: vt.Factor | None = field(None, "multiplier of the time stamps", "1")
+    time_scale: vt.Factor | None = field("multiplier of the time stamps", otherwise="1")
     start_s: vt.Starts = field(
-        ...,
         "start times, coarse alignment included, one per draw, from the record's beginning",
-        "from_s, else 0",
+        otherwise="from_s, else 0",
         default_factory=lambda given: (given.get("from_s") or 0.0,),
     )
     max_gap_s: vt.SecondsOrZero | None = field(
-        None, "longest gap between good samples that is interpolated", "0"
+        "longest gap between good samples that is interpolated", otherwise="0"
     )
     gyro_bias_deg_per_h: vt.GyroNoise | None = field(
-        None, "largest bias that the check accepts", "10 or with low noise 4.5"
+        "largest bias that the check accepts", otherwise="10 or with low noise 4.5"
     )
-    accel_bias_ug: vt.AccelNoise | None = field(None, "largest bias that the check accepts", "5000")
+    accel_bias_ug: vt.AccelNoise | None = field(
+        "largest bias that the check accepts", otherwise="5000"
+    )
     trust: bool | None = field(
-        None, "whether to align despite errors that the check finds", "false"
+        "whether to align despite errors that the check finds", otherwise="false"
     )
 
     @model_validator(mode="after")
@@ -489,14 +473,12 @@ class RecordSection(Section):
         self._check_times()
         needed = ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
-            given = [key for key in _COLUMN_KEYS if getattr(self, key) is not None]
-            if self.format == "arrays":
-                given += ["axes_order"] if self.axes_order != "xyz" else []
-                given += ["mounting_deg"] if self.mounting_deg is not None else []
+            axes = ("axes_order", "mounting_deg") if self.format == "arrays" else ()
             why = "fixes it" if self.format == "psins" else "has it already"
-            for key in given:
-                text = f"does not apply to format '{self.format}', which {why} (drop it)"
-                raise rule_error(text, key=key)
+            for key in (*_COLUMN_KEYS, *axes):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    text = f"does not apply to format '{self.format}', which {why} (drop it)"
+                    raise rule_error(text, key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:
@@ -524,12 +506,9 @@ class RecordSection(Section):
         return RecordLayout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
-        for key in ("time_unit", "time_scale", "time_fraction_column"):
-            if getattr(self, key) is not None and self.time_column is None:
-                raise rule_error("requires a time_column (give it, or drop this)", key=key)
-        if self.time_fraction_unit is not None and self.time_fraction_column is None:
-            text = "requires a time_fraction_column (give it, or drop this)"
-            raise rule_error(text, key="time_fraction_unit")
+        for key, needed in _TIME_KEYS.items():
+            if getattr(self, key) is not None and getattr(self, needed) is None:
+                raise rule_error(f"requires a {needed} (give it, or drop this)", key=key)
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
@@ -584,11 +563,11 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: vt.IncreasingPair | None = field(None, "[low, high]")
-    normal: vt.Normal | None = field(None, "[mean, standard deviation]")
-    values: ListEntries | None = field(None, "one per draw, repeated from the first")
+    uniform: vt.IncreasingPair | None = field("[low, high]")
+    normal: vt.Normal | None = field("[mean, standard deviation]")
+    values: ListEntries | None = field("one per draw, repeated from the first")
     grid: ListEntries | None = field(
-        None, "grid values; the draws are the product of all grids, the last key fastest"
+        "grid values; the draws are the product of all grids, the last key fastest"
     )
 
     @property
@@ -611,8 +590,8 @@ class DrawnSection(Section):
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
     sampling: Literal["random", "sobol"] = field(
-        "random",
         "'random': independent numbers. 'sobol': scrambled Sobol points of all drawn keys together",
+        "random",
     )
 
     @property
@@ -624,12 +603,12 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: vt.Seconds = field(300.0, "available alignment time: whole seconds, 10 to 7200")
+    time_s: vt.Seconds = field("available alignment time: whole seconds, 10 to 7200", 300.0)
     wanted_deg: vt.AngleSigma | None = field(
-        None, "heading error that 95 % of alignments must not exceed"
+        "heading error that 95 % of alignments must not exceed"
     )
     known_heading_deg: vt.AngleSigma | None = field(
-        None, "1 sigma of prior heading knowledge", "nothing is known"
+        "1 sigma of prior heading knowledge", otherwise="nothing is known"
     )
 
 
@@ -637,14 +616,14 @@ class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
     statistic: vt.Name = field(
-        ...,
         "'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin; both follow"
         " judged_from",
+        ...,
     )
     half_width: vt.Positive = field(
-        ...,
         "half-width of its 95 % interval, in the variant where it is widest, that ends the study:"
         " a fraction for 'success_rate', else s",
+        ...,
     )
 
 
@@ -659,13 +638,13 @@ Searches = Annotated[
 class Range(Section):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: vt.Finite | None = field(None, "ends of the range")
-    high: vt.Finite | None = field(None, "ends of the range")
+    low: vt.Finite | None = field("ends of the range")
+    high: vt.Finite | None = field("ends of the range")
     scale: Literal["linear", "log"] | None = field(
-        None, "spacing of the values: 'linear', or 'log' for equal ratios", "'linear'"
+        "spacing of the values: 'linear', or 'log' for equal ratios", otherwise="'linear'"
     )
-    fixed: Any = field(None, "single value")
-    candidates: ListEntries | None = field(None, "values to try")
+    fixed: Any = field("single value")
+    candidates: ListEntries | None = field("values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -696,60 +675,58 @@ class TuneSection(Section):
     """[tune]: objective, variables and searches of `sinsjax tune`."""
 
     objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = field(
-        "settle_mean",
         "'settle_mean': mean settling time, unsettled runs counting with their length."
         " 'settle_quantile': its quantile. 'final_error': rms final heading error. 'failure_rate':"
         " fraction of unsettled runs",
+        "settle_mean",
     )
     objective_band_arcmin: vt.Band = field(
-        10.0, "heading band: one of settle_bands_arcmin, or the success band"
+        "heading band: one of settle_bands_arcmin, or the success band", 10.0
     )
     objective_quantile: Annotated[float, Field(gt=0, lt=1)] = field(
-        0.9, "quantile for 'settle_quantile'"
+        "quantile for 'settle_quantile'", 0.9
     )
     objective_across: Literal["mean", "worst"] = field(
-        "mean", "objective over several variants: 'mean' or 'worst'"
+        "objective over several variants: 'mean' or 'worst'", "mean"
     )
     searches: Searches = field(
-        ("grid", "gradient"),
         "'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times are tuned,"
         " each also evaluates the reset law's schedule",
+        ("grid", "gradient"),
     )
     tune_draws: Some | None = field(
-        None,
         "draws for searches; in a recorded study every second start time",
-        "16 in a simulation",
+        in_simulation=16,
     )
     evaluation_draws: Some | None = field(
-        None,
         "other draws, to compare the best points with the baseline; in a recorded study the other"
         " start times",
-        "64 in a simulation",
+        in_simulation=64,
     )
     grid_points: Annotated[vt.Count, Field(ge=2)] = field(
-        15, "points per variable of a 'grid' search; at most two variables"
+        "points per variable of a 'grid' search; at most two variables", 15
     )
-    sobol_points: Some = field(256, "points of a 'sobol' search per combination of candidates")
+    sobol_points: Some = field("points of a 'sobol' search per combination of candidates", 256)
     descent_screen: Some = field(
-        16,
         "Sobol points evaluated before the descents, which start from the best; on `descent_draws`"
         " draws",
+        16,
     )
-    descent_starts: Some = field(4, "parallel descents")
-    descent_steps: Some = field(16, "steps of a descent")
-    descent_draws: Some = field(4, "new draws per step")
-    descent_rate: vt.Positive = field(0.1, "Adam learning rate, in lengths of the ranges")
+    descent_starts: Some = field("parallel descents", 4)
+    descent_steps: Some = field("steps of a descent", 16)
+    descent_draws: Some = field("new draws per step", 4)
+    descent_rate: vt.Positive = field("Adam learning rate, in lengths of the ranges", 0.1)
     relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
-        (4.0, 1.0),
         "half-widths of smooth reset windows at the first and last step; only if a variable moves"
         " a reset",
+        (4.0, 1.0),
     )
     relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
-        (6.0, 16.0), "sharpness of the smooth heading band edge at the first and last step"
+        "sharpness of the smooth heading band edge at the first and last step", (6.0, 16.0)
     )
     variables: dict[str, Range | tuple[Range, ...]] = field(
-        ..., "tuned keys with their ranges, the table [tune.variables]"
+        "tuned keys with their ranges, the table [tune.variables]", ...
     )
     baseline: dict[str, Any] = field(
-        {}, "values to compare with, the table [tune.baseline]", "the study's"
+        "values to compare with, the table [tune.baseline]", {}, otherwise="the study's"
     )

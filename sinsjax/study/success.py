@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sinsjax import columns
 from sinsjax.study.study import Study
+from sinsjax.value_types import otherwise
 
 MAX_DWELL_S = 30.0
 """Longest dwell time that a run needs if the study does not give one."""
@@ -51,18 +52,24 @@ class SuccessCriteria(NamedTuple):
 def success_criteria(study: Study) -> SuccessCriteria:
     """Return the success criteria of a study, with defaults."""
     settings = study.study
+
+    def number(key: str) -> float:
+        given: float | None = getattr(settings, key)
+        return otherwise(type(settings), key) if given is None else given
+
     return SuccessCriteria(
         judged_from=settings.judged_from or "truth",
-        band_arcmin=_or_default(settings.success_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        level_band_arcmin=_or_default(settings.level_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        diverged_deg=_or_default(settings.diverged_deg, columns.DIVERGED_DEG),
+        band_arcmin=number("success_band_arcmin"),
+        level_band_arcmin=number("level_band_arcmin"),
+        diverged_deg=number("diverged_deg"),
         dwell_s=settings.dwell_s,
     )
 
 
 def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
-    return columns.settling_bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
+    success = success_criteria(study).band_arcmin
+    return tuple(dict.fromkeys((*study.study.settle_bands_arcmin, success)))
 
 
 FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
@@ -143,7 +150,3 @@ def _make_measure(study: Study, band: float, truth: bool) -> SuccessMeasure:
         "ok_truth" if truth else "ok_floor",
         band,
     )
-
-
-def _or_default(value: float | None, default: float) -> float:
-    return default if value is None else value

@@ -25,6 +25,7 @@ from sinsjax.study.keys import (
     TUNABLE,
     TomlTable,
     alternative_keys,
+    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
@@ -43,7 +44,6 @@ _LAW_MEANINGS = {
 _LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.items())
 _RANGE_KEYS = tuple(Range.model_fields)
 _VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
-_TUNING_DRAWS = {"tune_draws": 16, "evaluation_draws": 64}
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
 """Settings of [tune] of the search 'covariance' of version 1.0."""
 
@@ -449,7 +449,7 @@ def _check_distinct(values: Sequence[Any], place: str) -> None:
 
 
 def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
-    """Return the section [tune] with checked ranges and values, and default numbers of draws.
+    """Return the section [tune] with checked ranges and values.
 
     Args:
         table: table of the file, with tuples for lists.
@@ -460,10 +460,8 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
         InputError: ``[table] key: what is wrong (hint)``.
     """
     table, errors = dict(table), ErrorCollector()
-    for key, default in _TUNING_DRAWS.items():
-        if not recorded:
-            table.setdefault(key, default)
-        elif key in table:
+    for key in table if recorded else ():
+        if leaf_info(key).in_simulation is not None:
             text = "does not apply to a recorded study (drop it: tuning uses the start times)"
             errors.add(f"[tune] {key}: {text}")
     for key, read in (("variables", _read_ranges), ("baseline", _read_baseline)):

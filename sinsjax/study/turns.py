@@ -9,13 +9,13 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.study.schema import TURN_KEYS, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.units import DEG
-from sinsjax.value_types import ROUNDING
+from sinsjax.value_types import ROUNDING, otherwise
 
 MOST_TURN_PER_SAMPLE = 0.1
 """Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
 
 DEFAULTS = {
-    key: MotionSection.otherwise(key)
+    key: otherwise(MotionSection, key)
     for key in ("turn_angles_deg", "turn_rate_deg_per_s", "turn_ramp_s")
 }
 """Defaults of a study with turns."""

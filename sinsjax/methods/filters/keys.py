@@ -19,7 +19,7 @@ from sinsjax.methods.filters.loop import Filter, closed_loop
 from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
-from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo, Section, field, keys_of
+from sinsjax.value_types import ROUNDING, KeyCondition, Section, field, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
@@ -32,67 +32,54 @@ class FilterSection(Section):
     """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
 
     p0_velocity_m_per_s: vt.SpeedSigma = field(
-        0.1, "initial sigma of east and north velocity errors"
+        "initial sigma of east and north velocity errors", 0.1
     )
-    p0_level_deg: vt.AngleSigma = field(15.0, "initial sigma of level errors about east and north")
-    p0_yaw_deg: vt.HeadingSigma = field(80.0, "initial sigma of heading")
-    p0_gyro_bias_deg_per_h: vt.GyroSigma = field(0.1, "initial sigma of each gyro's bias")
+    p0_level_deg: vt.AngleSigma = field("initial sigma of level errors about east and north", 15.0)
+    p0_yaw_deg: vt.HeadingSigma = field("initial sigma of heading", 80.0)
+    p0_gyro_bias_deg_per_h: vt.GyroSigma = field("initial sigma of each gyro's bias", 0.1)
     p0_accel_bias_ug: vt.AccelSigma = field(
-        500.0, "initial sigma of each level accelerometer's bias"
+        "initial sigma of each level accelerometer's bias", 500.0
     )
     q_accel_ug: vt.AccelNoise | None = field(
-        None,
         "process noise of velocity errors; per sqrt(Hz) with q_reading = 'psd'",
-        "that of the accelerometers in [sensors]",
+        otherwise="that of the accelerometers in [sensors]",
     )
     q_gyro_deg_per_h: vt.GyroNoise | None = field(
-        None,
         "process noise of misalignments; per sqrt(Hz) with q_reading = 'psd'",
-        "that of the gyros in [sensors]",
+        otherwise="that of the gyros in [sensors]",
     )
-    q_accel_ug_per_sqrt_hz: Annotated[
-        vt.AccelNoise | None, KeyInfo(alternative_to="q_accel_ug")
-    ] = field(
-        None,
+    q_accel_ug_per_sqrt_hz: vt.AccelNoise | None = field(
         "process noise density of velocity errors; alternative to q_accel_ug with q_reading ="
         " 'psd'",
+        alternative_to="q_accel_ug",
     )
-    q_gyro_deg_per_h_per_sqrt_hz: Annotated[
-        vt.GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h")
-    ] = field(
-        None,
+    q_gyro_deg_per_h_per_sqrt_hz: vt.GyroNoise | None = field(
         "process noise density of misalignments; alternative to q_gyro_deg_per_h with q_reading ="
         " 'psd'",
+        alternative_to="q_gyro_deg_per_h",
     )
-    q_gyro_arw_deg_per_sqrt_h: Annotated[
-        vt.GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h")
-    ] = field(
-        None,
+    q_gyro_arw_deg_per_sqrt_h: vt.GyroWalk | None = field(
         "angle random walk, a sixtieth of the number in deg/h/sqrt(Hz); alternative to"
         " q_gyro_deg_per_h with q_reading = 'psd'",
+        alternative_to="q_gyro_deg_per_h",
     )
     q_reading: Literal["psd", "per_sample", "per_step"] | None = field(
-        None,
         "units of the q_ keys, required with them. 'psd': data sheet densities. 'per_sample':"
         " sigma of one sample. 'per_step': sigma added per filter step, as in paper 1; at 100 Hz a"
-        " hundred times that of 'per_sample'",
+        " hundred times that of 'per_sample'"
     )
-    r_velocity_m_per_s: Annotated[vt.SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = field(
-        None,
+    r_velocity_m_per_s: vt.SpeedSigma | None = field(
         "sigma r of the zero-velocity measurement; per sqrt(Hz) with r_reading = 'psd'. If"
         " omitted, methods without [surge] add the surge density 2 s^2 T, s the larger of"
         " surge_m_per_s east and north, T surge_time_s",
+        same_as=_DEFAULT_R,
     )
     r_reading: Literal["per_update", "psd"] = field(
-        "per_update",
         "'per_update': the variance R of an update is r squared. 'psd': r squared / sample time",
+        "per_update",
     )
-    q_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = field(
-        None, "factor on the variance Q"
-    )
-    r_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = field(
-        None, "factor on the variance R"
-    )
+    q_scale: vt.Factor | None = field("factor on the variance Q", same_as=1.0)
+    r_scale: vt.Factor | None = field("factor on the variance R", same_as=1.0)
 
 
 # Q and R
@@ -245,71 +232,75 @@ class ResetsSection(Section):
     )
 
     reset_trigger: Literal["none", "innovation", "linearisation"] | None = field(
-        None,
         "score that triggers a reset above trigger_threshold, in addition to the schedule, or"
         " 'none'. 'innovation': normalised squared sum of innovations in a window. 'linearisation':"
         " heading knowledge in excess of a base at rest",
-        "'none'",
+        otherwise="'none'",
     )
     trigger_threshold: vt.NonNegative | None = field(
-        None, "score above which P is reset; required with a trigger"
+        "score above which P is reset; required with a trigger"
     )
-    trigger_window_s: Annotated[
-        vt.Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")
-    ] = field(None, "window of 'innovation'")
-    trigger_refractory_s: Annotated[
-        vt.SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
-    ] = field(None, "shortest time from start or any reset to a triggered reset")
-    trigger_most: Annotated[
-        Annotated[vt.Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
-    ] = field(None, "most triggered resets per run")
-    trigger_until_s: Annotated[vt.Seconds | None, KeyInfo(time="s")] = field(
-        None, "end of triggered resets", "no limit"
+    trigger_window_s: vt.Seconds | None = field(
+        "window of 'innovation'", default=10.0, beside="reset_trigger"
+    )
+    trigger_refractory_s: vt.SecondsOrZero | None = field(
+        "shortest time from start or any reset to a triggered reset",
+        default=5.0,
+        beside="reset_trigger",
+        time="s",
+    )
+    trigger_most: Annotated[vt.Count, Field(ge=1)] | None = field(
+        "most triggered resets per run", default=10, beside="reset_trigger"
+    )
+    trigger_until_s: vt.Seconds | None = field(
+        "end of triggered resets", otherwise="no limit", time="s"
     )
     schedule: Literal["times", "none", "law", "trigger"] = field(
-        "times",
         "'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets. 'law': from"
         " Q, R, P0, latitude, feedback, sensors and surge, see the page reset_law. 'trigger':"
         " reset_trigger alone, by default 'linearisation' with threshold 1.2",
+        "times",
     )
-    heading_bound_deg: Annotated[vt.Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = field(
-        150.0, "largest initial heading error that 'law' settles"
+    heading_bound_deg: Annotated[vt.Positive, Field(lt=180)] = field(
+        "largest initial heading error that 'law' settles", 150.0, usual_range=(1, 180)
     )
-    settle_band_arcmin: vt.Band = field(10.0, "heading error to which 'law' settles")
-    reset_count: Annotated[vt.Count | None, KeyInfo(default=0)] = field(
-        None, "number of scheduled resets"
-    )
+    settle_band_arcmin: vt.Band = field("heading error to which 'law' settles", 10.0)
+    reset_count: vt.Count | None = field("number of scheduled resets", default=0)
     reset_cycle_s: vt.Seconds | None = field(
-        None, "interval of reset_count resets; not needed for one at reset_first_s"
+        "interval of reset_count resets; not needed for one at reset_first_s"
     )
     reset_first_s: vt.Seconds | None = field(
-        None, "time of the first of reset_count resets", "the cycle"
+        "time of the first of reset_count resets", otherwise="the cycle"
     )
-    reset_times_s: Annotated[vt.Times | None, KeyInfo(whole="sample", merged=True)] = field(
-        None, "times of scheduled resets; alternative to reset_count"
+    reset_times_s: vt.Times | None = field(
+        "times of scheduled resets; alternative to reset_count", whole="sample", merged=True
     )
-    reset_at_feedback: bool = field(False, "whether a reset waits for the next feedback")
-    reset_restarts_feedback: bool = field(False, "whether a reset starts a feedback interval")
+    reset_at_feedback: bool = field("whether a reset waits for the next feedback", False)
+    reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
     reset_kind: Literal["full", "yaw", "scale"] = field(
-        "full",
         "'full': variances become the values below, covariances zero. 'yaw': the same for heading"
         " only. 'scale': P is multiplied by reset_scale",
+        "full",
     )
-    reset_scale: vt.Factor = field(10.0, "factor on P with 'scale'")
-    reset_velocity_m_per_s: Annotated[
-        vt.SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")
-    ] = field(None, "sigma of velocity errors after a reset", "P0, at least 1 m/s with 'law'")
-    reset_level_deg: Annotated[vt.AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = field(
-        None, "sigma of level errors after a reset", "P0"
+    reset_scale: vt.Factor = field("factor on P with 'scale'", 10.0)
+    reset_velocity_m_per_s: vt.SpeedSigma | None = field(
+        "sigma of velocity errors after a reset",
+        otherwise="P0, at least 1 m/s with 'law'",
+        same_as="p0_velocity_m_per_s",
     )
-    reset_yaw_deg: Annotated[vt.HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = field(
-        None, "sigma of heading after a reset", "P0"
+    reset_level_deg: vt.AngleSigma | None = field(
+        "sigma of level errors after a reset", otherwise="P0", same_as="p0_level_deg"
     )
-    reset_gyro_bias_deg_per_h: Annotated[
-        vt.GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
-    ] = field(None, "sigma of each gyro's bias after a reset", "P0")
-    reset_accel_bias_ug: Annotated[vt.AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = (
-        field(None, "sigma of each accelerometer's bias after a reset", "P0")
+    reset_yaw_deg: vt.HeadingSigma | None = field(
+        "sigma of heading after a reset", otherwise="P0", same_as="p0_yaw_deg"
+    )
+    reset_gyro_bias_deg_per_h: vt.GyroSigma | None = field(
+        "sigma of each gyro's bias after a reset", otherwise="P0", same_as="p0_gyro_bias_deg_per_h"
+    )
+    reset_accel_bias_ug: vt.AccelSigma | None = field(
+        "sigma of each accelerometer's bias after a reset",
+        otherwise="P0",
+        same_as="p0_accel_bias_ug",
     )
 
 

@@ -169,7 +169,7 @@ def build(options: method.Options) -> method.Program:
 
 
 def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
-    return field(None, meaning, default)
+    return field(meaning, otherwise=default)
 
 
 class GravityFitSection(Section):
@@ -190,8 +190,7 @@ class GravityFitSection(Section):
     )
     fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias")
     fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = _believed(
-        "velocity random walk of each accelerometer, above 0",
-        "the white noise of [sensors]",
+        "velocity random walk of each accelerometer, above 0", "the white noise of [sensors]"
     )
 
 
