@@ -29,7 +29,7 @@ _NOISY = 1.1  # settling times that noise delays by less are one
 _NOISE_SIGMAS, _LATE_SIGMAS = 1.15, 2.0
 """1 sigma of white noise that narrow the band if noise alone decides: for the median and nine runs
 of ten. Gyro noise leaves a heading error W(T)/T, a Brownian motion in 1/T, so the run settles where
-that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep` without q_: 178 and 226 s,
+that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep`: 178 and 226 s,
 measured 172 and 238 s.
 """
 _TILT = 5 * (1 + 1j) * DEG  # of the start
