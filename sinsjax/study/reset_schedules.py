@@ -33,6 +33,9 @@ LAW_METHODS = ("kalman5",)
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
 _NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
+NOISE_KEYS = (*_EARTH, *_NOISE)
+"""Keys that `noise_heading_sigma` follows from."""
+
 _FILTER = (
     *(*ACCEL_NOISE.forms, *GYRO_NOISE.forms),
     *("q_reading", "q_scale", *keys_of(update_variance)),
@@ -41,7 +44,7 @@ _FILTER = (
 )
 _LOOP = ("method", "specific_force", "feedback_interval_s")
 _BOUNDS = ("schedule", "heading_bound_deg", "settle_band_arcmin")
-LAW_KEYS = (*_EARTH, *_NOISE, *_FILTER, *_LOOP, *_BOUNDS)
+LAW_KEYS = (*NOISE_KEYS, *_FILTER, *_LOOP, *_BOUNDS)
 """Keys that the times of the law follow from."""
 
 _ONE_VALUE = {"latitude_deg": "earth"} | dict.fromkeys(
@@ -188,6 +191,22 @@ def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
     if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
         text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
         raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
+
+
+def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
+    """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
+
+    Args:
+        rate_hz: samples per second.
+        time_s: length of the data, s.
+        point: values of `NOISE_KEYS`.
+    """
+    place = _read_place(point)
+    ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
+    accel, gyro = (_sensor_density(rate_hz, point, noise) for noise in (ACCEL_NOISE, GYRO_NOISE))
+    densities = (accel * ug) ** 2, (gyro * DEG_PER_H) ** 2
+    north_rate = place.rate * math.cos(place.latitude)
+    return float(reset_law.noise_sigma(time_s, place.gravity, north_rate, *densities))
 
 
 def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
