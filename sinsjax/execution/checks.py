@@ -27,7 +27,7 @@ from sinsjax.study.process_noise import noise_ratios_by_sensor
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
-from sinsjax.study.turns import data_end_s, useless_methods, warn_of_resets
+from sinsjax.study.turns import data_end_s, useless_methods
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
 
@@ -58,7 +58,7 @@ def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
-    lines += [*useless_methods(study), *warn_of_resets(study), *_band_warnings(study)]
+    lines += [*useless_methods(study), *_band_warnings(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 

@@ -1,9 +1,4 @@
-"""Reset schedules that a study names: none, by the law, or by a trigger.
-
-``[resets] schedule`` decides, variant by variant, what the keys of scheduled and triggered resets
-are. By the law, times follow from the variant's own Q, R, P0, latitude, feedback, sensors and
-surge.
-"""
+"""Reset schedules that a study names, variant by variant: none, by the law, or by a trigger."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -72,15 +67,13 @@ _VELOCITY = "reset_velocity_m_per_s"
 DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
 
-_NO_TIMES = dict.fromkeys(SCHEDULE_KEYS)
-
 
 class Place(NamedTuple):
-    """Gravity, m/s^2, and Earth rate, rad/s, at a latitude, rad."""
+    """Gravity, m/s^2, and horizontal Earth rate, rad/s, of a place; and a ug there, m/s^2."""
 
     gravity: float
-    rate: float
-    latitude: float
+    north_rate: float
+    ug: float
 
 
 def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,23 +86,20 @@ def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: the law has no schedule there; the line begins ``[section] key``.
     """
-    given = {key: point[key] for key in DERIVED}
-    no_trigger = given | {"reset_trigger": "none" if given["reset_trigger"] else None}
-    match point["schedule"]:
-        case "none":
-            return no_trigger | _NO_TIMES
-        case "law":
-            found = schedule_by_law(rate_hz, point)
-            times = () if found is None else found.times_s
-            opened = {"reset_times_s": times or None, _VELOCITY: _reset_velocity(point)}
-            return no_trigger | _NO_TIMES | opened
-        case "trigger":
-            names = (None, "none")
-            default = _DEFAULT_TRIGGER if given["reset_trigger"] in names else {}
-            missing = {key: value for key, value in default.items() if given[key] in names}
-            return given | _NO_TIMES | missing
-        case _:
-            return given
+    given, schedule = {key: point[key] for key in DERIVED}, point["schedule"]
+    if schedule not in ("none", "law", "trigger"):
+        return given
+    values = given | dict.fromkeys(SCHEDULE_KEYS)
+    if schedule == "trigger":
+        is_default = given["reset_trigger"] in (None, "none")
+        default = _DEFAULT_TRIGGER if is_default else {}
+        return values | {key: default[key] for key in default if given[key] in (None, "none")}
+    values["reset_trigger"] = "none" if given["reset_trigger"] else None
+    if schedule == "law":
+        found = schedule_by_law(rate_hz, point)
+        times = None if found is None else found.times_s or None
+        values |= {"reset_times_s": times, _VELOCITY: _reset_velocity(point)}
+    return values
 
 
 def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule | None:
@@ -152,26 +142,25 @@ def predict_settling(
         run_s: duration of the runs, s.
         points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
     """
-    found: list[float | None] = [None] * len(points)
-    by_band: dict[float, dict[int, Lane]] = {}
-    for number, point in enumerate(points):
-        if (lane := _lane(rate_hz, point)) is not None:
-            by_band.setdefault(point["settle_band_arcmin"], {})[number] = lane
-    for band_arcmin, lanes in by_band.items():
-        times = predict_settling_times([*lanes.values()], run_s, band_arcmin * ARCMIN)
-        for number, time_s in zip(lanes, times.tolist(), strict=True):
-            found[number] = time_s if math.isfinite(time_s) else None
-    return found
+    lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
+    if not lanes:
+        return [None] * len(points)
+    bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
+    times = predict_settling_times([*lanes.values()], run_s, bands).tolist()
+    settled = {n: time_s for n, time_s in zip(lanes, times, strict=True) if math.isfinite(time_s)}
+    return [settled.get(number) for number in range(len(points))]
 
 
 def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     start = [point[key] for key in START_KEYS]
     is_triggered = point["reset_trigger"] not in (None, "none")
-    is_foreseen = point["method"] in LAW_METHODS and not is_triggered and None not in start
-    if not is_foreseen or any(point[key] is None for key in _ONE_VALUE):
+    is_full = point["reset_kind"] in (None, "full")
+    if point["method"] not in LAW_METHODS or is_triggered or not is_full:
+        return None
+    if None in start or any(point[key] is None for key in _ONE_VALUE):
         return None
     problem = reset_problem(rate_hz, point)
-    if problem.velocity_noise <= 0 or point["reset_kind"] not in (None, "full"):
+    if problem.velocity_noise <= 0:
         return None
     east, north, heading = (angle * DEG for angle in start)
     times = scheduled_reset_times(*(point[key] for key in SCHEDULE_KEYS))
@@ -202,11 +191,9 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
         point: values of `NOISE_KEYS`.
     """
     place = _read_place(point)
-    ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
-    accel, gyro = (_sensor_density(rate_hz, point, noise) for noise in (ACCEL_NOISE, GYRO_NOISE))
-    densities = (accel * ug) ** 2, (gyro * DEG_PER_H) ** 2
-    north_rate = place.rate * math.cos(place.latitude)
-    return float(reset_law.noise_sigma(time_s, place.gravity, north_rate, *densities))
+    accel = (_sensor_density(rate_hz, point, ACCEL_NOISE) * place.ug) ** 2
+    gyro = (_sensor_density(rate_hz, point, GYRO_NOISE) * DEG_PER_H) ** 2
+    return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
 def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
@@ -219,20 +206,19 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         if point[key] is None:
             raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
     place = _read_place(point)
-    ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
     density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
-        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, ug),
+        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, place.ug),
         measurement_noise=r / rate_hz,
         velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
         heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
-        north_rate=place.rate * math.cos(place.latitude),
+        north_rate=place.north_rate,
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=(density(ACCEL_NOISE) * ug) ** 2,
+        accel_noise=(density(ACCEL_NOISE) * place.ug) ** 2,
         gyro_noise=(density(GYRO_NOISE) * DEG_PER_H) ** 2,
         tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
@@ -249,11 +235,14 @@ def _reset_velocity(point: Mapping[str, Any]) -> float:
 
 def _read_place(point: Mapping[str, Any]) -> Place:
     latitude = point["latitude_deg"] * DEG
+    # Normal gravity to 1e-5, far within the law's accuracy.
+    gravity, rate = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2), 7.292115e-5
+    ug = micro_g()
     if point["earth"] == "constants":
+        gravity = point["gravity_m_per_s2"] or 9.8
         rate = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H
-        return Place(point["gravity_m_per_s2"] or 9.8, rate, latitude)
-    normal = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)  # to 1e-5, far within the law's
-    return Place(normal, 7.292115e-5, latitude)
+        ug = micro_g(gravity)
+    return Place(gravity, rate * math.cos(latitude), ug)
 
 
 def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float) -> float:

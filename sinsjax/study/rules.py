@@ -21,7 +21,7 @@ from sinsjax.messages import shorten
 from sinsjax.methods.filters.keys import RESET_KEYS, SCHEDULE_KEYS, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
-from sinsjax.study.attitude_file import check_attitude_key
+from sinsjax.study.attitude_file import refuse_other_angles
 from sinsjax.study.keys import (
     COARSE_KEYS,
     EARTH_CONSTANTS,
@@ -623,7 +623,7 @@ PRESENCE_RULES: tuple[StudyRule, ...] = (
     check_process_noise,
     check_measurement_noise,
     check_turn_keys,
-    check_attitude_key,
+    refuse_other_angles,
 )
 """Rules for the presence of keys."""
 
