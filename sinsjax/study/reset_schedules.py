@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
@@ -66,14 +66,6 @@ _VELOCITY = "reset_velocity_m_per_s"
 
 DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
-
-
-class Place(NamedTuple):
-    """Gravity, m/s^2, and horizontal Earth rate, rad/s, of a place; and a ug there, m/s^2."""
-
-    gravity: float
-    north_rate: float
-    ug: float
 
 
 def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
@@ -175,8 +167,8 @@ def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
     """
     if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
         return
-    problem = reset_problem(rate_hz, point)._replace(surge=0.0)
-    sigma_arcmin = reset_law.heading_sigma(run_s, problem) / ARCMIN
+    _require_values(point)
+    sigma_arcmin = noise_heading_sigma(rate_hz, run_s, point) / ARCMIN
     if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
         text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
         raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
@@ -191,8 +183,8 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
         point: values of `NOISE_KEYS`.
     """
     place = _read_place(point)
-    accel = (_sensor_density(rate_hz, point, ACCEL_NOISE) * place.ug) ** 2
-    gyro = (_sensor_density(rate_hz, point, GYRO_NOISE) * DEG_PER_H) ** 2
+    accel = _white_noise(rate_hz, point, ACCEL_NOISE, place.ug)
+    gyro = _white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H)
     return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
@@ -202,12 +194,9 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     Raises:
         InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
     """
-    for key, section in _ONE_VALUE.items():
-        if point[key] is None:
-            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
+    _require_values(point)
     place = _read_place(point)
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
-    density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
         velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, place.ug),
         measurement_noise=r / rate_hz,
@@ -218,11 +207,17 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=(density(ACCEL_NOISE) * place.ug) ** 2,
-        gyro_noise=(density(GYRO_NOISE) * DEG_PER_H) ** 2,
+        accel_noise=_white_noise(rate_hz, point, ACCEL_NOISE, place.ug),
+        gyro_noise=_white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
+
+
+def _require_values(point: Mapping[str, Any]) -> None:
+    for key, section in _ONE_VALUE.items():
+        if point[key] is None:
+            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
 
 
 def _reset_velocity(point: Mapping[str, Any]) -> float:
@@ -233,15 +228,22 @@ def _reset_velocity(point: Mapping[str, Any]) -> float:
     return given or initial
 
 
+class Place(NamedTuple):
+    """Gravity, m/s^2, and horizontal Earth rate, rad/s, of a place; and a ug there, m/s^2."""
+
+    gravity: float
+    north_rate: float
+    ug: float
+
+
 def _read_place(point: Mapping[str, Any]) -> Place:
     latitude = point["latitude_deg"] * DEG
-    # Normal gravity to 1e-5, far within the law's accuracy.
-    gravity, rate = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2), 7.292115e-5
-    ug = micro_g()
     if point["earth"] == "constants":
         gravity = point["gravity_m_per_s2"] or 9.8
-        rate = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H
-        ug = micro_g(gravity)
+        rate, ug = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H, micro_g(gravity)
+    else:  # normal gravity to 1e-5, far within the law's
+        gravity = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)
+        rate, ug = 7.292115e-5, micro_g()
     return Place(gravity, rate * math.cos(latitude), ug)
 
 
@@ -253,10 +255,12 @@ def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, un
             per_step = (point[form] * factor * unit) ** 2
             per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
             return float(per_step * rate_hz * scale)
-    return float((_sensor_density(rate_hz, point, noise) * unit) ** 2 * scale)
+    return float(_white_noise(rate_hz, point, noise, unit) * scale)
 
 
-def _sensor_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise) -> float:
-    """Return the density of the sensors' white noise, 0 for none, in the unit of a key of Q."""
+def _white_noise(
+    rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float
+) -> float:
+    """Return the density of the sensors' white noise, 0 for none; SI."""
     values = (point[key] for key in keys_of(noise.density))
-    return float(noise.density(rate_hz, *values) or 0.0)
+    return float((noise.density(rate_hz, *values) or 0.0) * unit) ** 2
