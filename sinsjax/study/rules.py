@@ -22,7 +22,7 @@ from sinsjax.messages import shorten
 from sinsjax.methods.filters.keys import RESET_KEYS, SCHEDULE_KEYS, scheduled_reset_times
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
-from sinsjax.study.attitude_file import check_attitude_key
+from sinsjax.study.attitude_file import refuse_other_angles
 from sinsjax.study.filter_noise import check_filter_noise
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -518,7 +518,7 @@ _PRESENCE: tuple[StudyRule, ...] = (
     _check_earth_constants,
     check_filter_noise,
     check_turn_keys,
-    check_attitude_key,
+    refuse_other_angles,
 )
 _LENGTHS: tuple[StudyRule, ...] = (_check_study_size, _check_intervals, _check_passes)
 _TIMES: tuple[StudyRule, ...] = (
