@@ -313,8 +313,9 @@ def keys_page() -> str:
         " numbers: `_deg_per_sqrt_h` is deg/sqrt(h). Unless noted, all methods read a key. The"
         f" filters are {', '.join(of_filters.methods)}.",
         "",
-        f"The keys of {sweepable} may vary: {_VARYING}. Give a key once: in its section or a table"
-        " that varies it.",
+        f"The keys of {sweepable} may vary: {_VARYING}. A case has the value of the section, or"
+        " the default, of a key that it leaves out. Give other keys once: in their section or a"
+        " table that varies them.",
     ]
     for table, model in TABLES.items():
         keys = [key for key in KEYS.values() if key.section == table]

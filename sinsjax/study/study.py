@@ -33,9 +33,7 @@ from sinsjax.study.keys import (
 from sinsjax.study.reset_schedules import (
     DERIVED,
     LAW_KEYS,
-    START_KEYS,
     derive_schedule,
-    predict_settling,
 )
 from sinsjax.study.schema import (
     DrawnSection,
@@ -404,15 +402,6 @@ class Study(_SectionsOfMethods):
             return constant_column(self.n_variants, ())
         return self.coded(*SCHEDULE_KEYS).map(lambda values: scheduled_reset_times(*values))
 
-    @property
-    def predicted_settling(self) -> CodedColumn:
-        """Predicted settling time of each variant, s; None where nothing is predicted."""
-        keys = [k for k in (*LAW_KEYS, *DERIVED, *START_KEYS) if self.is_readable(k)]
-        missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-        codes, choices = self.coded(*keys)
-        points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
-        return CodedColumn(codes, tuple(predict_settling(self.rate_hz, self.run_s, points)))
-
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""
         return self.schedules.to_list()
@@ -470,21 +459,6 @@ class Study(_SectionsOfMethods):
         """The swept keys that distinguish variants, see `axes_shown`."""
         return tuple(key for keys in self.axes_shown for key in keys)
 
-    @property
-    def figure_axes(self) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
-        """The axes of the study's figures with their values, and all other swept keys.
-
-        They are the first two swept numbers, or else the first key with lists, such as reset times.
-        """
-        numeric, listed = {}, {}
-        for (key, *more), values in self.axes_shown.items():
-            if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-                numeric[key] = tuple(map(float, values))
-            elif not more and all(isinstance(v, tuple) for v in values):
-                listed[key] = values
-        axes = dict([*numeric.items()][:2] or [*listed.items()][:1])
-        return axes, [key for key in self.keys_shown if key not in axes]
-
     def given_in(self, key: str) -> str | None:
         """Return the table, in brackets, that gives, sweeps or draws a key; None if none does."""
         name = SECTION_OF[key]
@@ -514,19 +488,6 @@ class Study(_SectionsOfMethods):
         if self.run_s < whole_s * (1 - ROUNDING):
             text += f"; the shortest run ends at {self.run_s:.12g} s"
         return text
-
-    def single_value(self, key: str) -> Any:
-        """Return the one value of a key.
-
-        Raises:
-            InputError: the study sweeps the key.
-        """
-        first, *rest = self.combinations(key)
-        if rest:
-            raise InputError(
-                f"{self.name}: {key} must have one value (use a study without a sweep of it)"
-            )
-        return first[key]
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
@@ -562,15 +523,10 @@ class Study(_SectionsOfMethods):
             values_by_key = dict(zip(keys, values, strict=True))
             # Coarse alignment replaces the initial attitude that is given.
             is_replaced = coarse and self.has_coarse_stage(*(values_by_key[key] for key in coarse))
-            return (
-                (values_by_key[key],) if has_effect(key, values_by_key) and not is_replaced else ()
-            )
+            acts = has_effect(key, values_by_key) and not is_replaced
+            return (values_by_key[key],) if acts else ()
 
-        codes, choices = self.coded(*keys).map(value if len(keys) > 1 else lambda v: (v,))
-        code_of = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
-        return CodedColumn(
-            np.asarray([code_of[choice] for choice in choices])[codes], tuple(code_of)
-        )
+        return self.coded(*keys).map(value if len(keys) > 1 else lambda v: (v,)).merged()
 
     def variant_values(self) -> dict[str, list[Any]]:
         """Return the values of each axis key, one per variant.
