@@ -293,13 +293,14 @@ def _read_cases(
             if key in swept:
                 raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
     errors.raise_all()
+    rivals = {key: alternative_keys(key) & keys.keys() for key in keys}
     given: list[TomlTable] = []
     for i, row in enumerate(rows):
         given.append({})
         for key, value in row.items():
             with errors.collect():
                 given[i][key] = check_value(value, key, f"[cases] {key}[{i}]")
-                for other in sorted(alternative_keys(key) & row.keys()):
+                for other in sorted(rivals[key] & row.keys()):
                     text = f"conflicts with {other} in the same case (give one of them)"
                     raise InputError(f"[cases] {key}[{i}]: {text}")
         if "case" in keys and "case" not in row:
@@ -335,7 +336,9 @@ def _complete_case(
     row: TomlTable, keys: Iterable[str], tables: TomlTable, axes: Mapping[str, Collection[Any]]
 ) -> TomlTable:
     """Return a case with the values of some keys that it leaves out."""
-    given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in row.items()}})
+    given = GivenKeys(tables, {})
+    if any(key not in row for key in keys):
+        given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in row.items()}})
     return {key: row[key] if key in row else _inherited_value(key, given) for key in keys}
 
 
