@@ -1,6 +1,7 @@
 """What is timed: the compiled function of `sweep`, with base and sensors of the default sweep."""
 
 import time
+import tomllib
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -16,7 +17,6 @@ from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.assets import asset_path
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict
-from sinsjax.toml_text import parse_toml
 
 TILES = 2
 """Tiles per call: two at least, since the compiler unrolls the loop over a single one."""
@@ -44,7 +44,7 @@ _DISTURBED = {
 
 
 def _default_tables() -> TomlTable:
-    return parse_toml(asset_path(_DEFAULT).read_text("utf-8"))
+    return tomllib.loads(asset_path(_DEFAULT).read_text("utf-8"))
 
 
 def _group_of(tables: TomlTable) -> Batch:

@@ -77,17 +77,3 @@ class Navigation(NamedTuple):
     vn: Scalar
     latitude: Scalar
     longitude: Scalar
-
-
-__all__ = [
-    "Array",
-    "Count",
-    "Flag",
-    "Increments",
-    "Navigation",
-    "Quat",
-    "Sample",
-    "Scalar",
-    "Vec3",
-    "Word",
-]

@@ -4,6 +4,8 @@ Multiply by a factor to convert to SI, divide to convert from it: ``0.1 * DEG_PE
 """
 
 import math
+from functools import cache
+from typing import NamedTuple
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2; the g of a datasheet's ug, and of records that do not state their own."""
@@ -17,30 +19,48 @@ DEG_PER_SQRT_H = DEG / math.sqrt(HOUR)
 PPM = 1e-6
 MICRO = 1e-6
 
+
+class Unit(NamedTuple):
+    """A unit by the suffix of keys and columns.
+
+    Attributes:
+        text: the unit as it is printed.
+        si: its size in SI units; of a unit with ug, its size in m/s^2 for a ug of 1 m/s^2.
+    """
+
+    text: str
+    si: float = 1.0
+
+
 SUFFIXES = {
-    "arcmin": "arcmin",
-    "arcsec": "arcsec",
-    "deg": "deg",
-    "deg_per_h": "deg/h",
-    "deg_per_h_per_sqrt_h": "deg/h/sqrt(h)",
-    "deg_per_h_rms": "deg/h rms",
-    "deg_per_s": "deg/s",
-    "deg_per_h_per_sqrt_hz": "deg/h/sqrt(Hz)",
-    "deg_per_sqrt_h": "deg/sqrt(h)",
-    "hz": "Hz",
-    "m": "m",
-    "m_per_s": "m/s",
-    "m_per_s2": "m/s^2",
-    "per_s": "1/s",
-    "ppm": "ppm",
-    "s": "s",
-    "ug": "ug",
-    "ug_per_sqrt_h": "ug/sqrt(h)",
-    "ug_rms": "ug rms",
-    "um_per_s": "um/s",
-    "ug_per_sqrt_hz": "ug/sqrt(Hz)",
+    "arcmin": Unit("arcmin", ARCMIN),
+    "arcsec": Unit("arcsec", ARCSEC),
+    "deg": Unit("deg", DEG),
+    "deg_per_h": Unit("deg/h", DEG_PER_H),
+    "deg_per_h_per_sqrt_h": Unit("deg/h/sqrt(h)", DEG_PER_H / math.sqrt(HOUR)),
+    "deg_per_h_per_sqrt_hz": Unit("deg/h/sqrt(Hz)", DEG_PER_H),
+    "deg_per_h_rms": Unit("deg/h rms", DEG_PER_H),
+    "deg_per_s": Unit("deg/s", DEG),
+    "deg_per_sqrt_h": Unit("deg/sqrt(h)", DEG_PER_SQRT_H),
+    "hz": Unit("Hz"),
+    "m": Unit("m"),
+    "m_per_s": Unit("m/s"),
+    "m_per_s2": Unit("m/s^2"),
+    "per_s": Unit("1/s"),
+    "ppm": Unit("ppm", PPM),
+    "s": Unit("s"),
+    "ug": Unit("ug"),
+    "ug_per_sqrt_h": Unit("ug/sqrt(h)", 1 / math.sqrt(HOUR)),
+    "ug_per_sqrt_hz": Unit("ug/sqrt(Hz)"),
+    "ug_rms": Unit("ug rms"),
+    "um_per_s": Unit("um/s", MICRO),
 }
-"""Unit suffixes of keys and columns, and their units."""
+"""Units of keys and columns by the suffix of their names."""
+
+
+@cache
+def _find_suffix(name: str) -> str:
+    return max((s for s in SUFFIXES if name.endswith(f"_{s}")), key=len, default="")
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -49,8 +69,20 @@ def split_unit(name: str) -> tuple[str, str]:
     ``gyro_bias_deg_per_h`` gives ``gyro_bias`` and ``deg/h``; a name without a unit gives itself
     and an empty string.
     """
-    suffix = max((s for s in SUFFIXES if name.endswith(f"_{s}")), key=len, default="")
-    return (name.removesuffix(f"_{suffix}"), SUFFIXES[suffix]) if suffix else (name, "")
+    suffix = _find_suffix(name)
+    return (name.removesuffix(f"_{suffix}"), SUFFIXES[suffix].text) if suffix else (name, "")
+
+
+def si_factor(name: str, ug: float | None = None) -> float:
+    """Return the factor from the unit of a key or column to SI units; 1 for a name without a unit.
+
+    Args:
+        name: name of a key or column.
+        ug: the micro-g of the study, m/s^2; by default that of standard gravity.
+    """
+    suffix = _find_suffix(name)
+    factor = SUFFIXES[suffix].si if suffix else 1.0
+    return factor * (ug or micro_g()) if suffix.startswith("ug") else factor
 
 
 def micro_g(gravity: float = STANDARD_GRAVITY) -> float:

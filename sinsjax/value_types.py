@@ -22,8 +22,8 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
-from sinsjax import columns
 from sinsjax.messages import CONTROL
+from sinsjax.units import si_factor
 
 
 def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
@@ -42,8 +42,8 @@ Effect = Literal["sway", "noise", "bias", "distortion", "quantum", "process", "p
 class KeyInfo(NamedTuple):
     """Properties of a study key in addition to its type and meaning.
 
-    It is written in the annotation of the key or of its type; the outermost value of each attribute
-    counts.
+    It is written in the `field` of a key, or in the annotation of its type; the outermost value of
+    each attribute counts.
 
     Attributes:
         usual_range: lowest and highest usual value in the unit of the key; `rules` refuses others.
@@ -51,6 +51,8 @@ class KeyInfo(NamedTuple):
             in if the study gives an alternative key, see `Section.exclusive`.
         beside: a key that must be given, not as 'none', for the default to be filled in.
         same_as: meaning of an omitted key: the value of another key, or a number.
+        otherwise: meaning of an omitted key for a reader: a number, or words.
+        in_simulation: value of an omitted key in a simulation; a record determines its own.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
         merged: whether a search merges times of a list that round to the same sample; otherwise it
@@ -58,7 +60,6 @@ class KeyInfo(NamedTuple):
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
-        factor: from its unit to that of ``alternative_to``.
         acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
             nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
             error. 'distortion': constant error in proportion to what a sensor measures. 'quantum':
@@ -69,11 +70,12 @@ class KeyInfo(NamedTuple):
     default: Any = None
     beside: str | None = None
     same_as: str | float | None = None
+    otherwise: str | float | None = None
+    in_simulation: int | None = None
     whole: str | None = None
     merged: bool = False
     time: str | None = None
     alternative_to: str | None = None
-    factor: float | None = None
     acts_as: Effect | None = None
 
 
@@ -99,18 +101,39 @@ class KeyCondition(NamedTuple):
     refused: bool = False
 
 
+def field(meaning: str, default: Any = None, /, **properties: Any) -> Any:
+    """Return the field of a key, whose name ends in its unit.
+
+    Args:
+        meaning: description, without unit and default.
+        default: value of an omitted key in the study; ``...`` if it is required.
+        properties: those of `KeyInfo`, and further arguments of pydantic's ``Field``.
+    """
+    info = {name: properties.pop(name) for name in KeyInfo._fields if name in properties}
+    extra: Any = {"info": KeyInfo(**info)}
+    if "default_factory" not in properties:
+        properties["default"] = default
+    return Field(description=meaning, json_schema_extra=extra, **properties)
+
+
 ROUNDING = 1e-9
 """Relative tolerance for the rounding of a product of two decimal numbers."""
 
 
 def key_info(field: FieldInfo) -> KeyInfo:
-    """Return the properties in the annotation of a key, the outermost value of each attribute."""
-    given: dict[str, Any] = {}
-    for info in _iterate_key_infos([*field.metadata, field.annotation]):
+    """Return the properties of a key, the outermost value of each attribute."""
+    extra, given = field.json_schema_extra, dict[str, Any]()
+    own = [extra["info"]] if isinstance(extra, dict) and "info" in extra else []
+    for info in _iterate_key_infos([*own, *field.metadata, field.annotation]):
         for name, value in info._asdict().items():
             if value != KeyInfo._field_defaults[name]:
                 given.setdefault(name, value)
     return KeyInfo(**given)
+
+
+def otherwise(section: "type[Section]", key: str) -> Any:
+    """Return what an omitted key means, see `KeyInfo.otherwise`."""
+    return key_info(section.model_fields[key]).otherwise
 
 
 def _iterate_key_infos(parts: Iterable[Any]) -> Iterator[KeyInfo]:
@@ -132,18 +155,11 @@ def require_unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _require_distinct_columns(bands: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject bands whose result columns would share a name."""
-    if len({columns.settle_column(band).name for band in bands}) < len(bands):
+def _require_distinct_columns(values: tuple[float, ...]) -> tuple[float, ...]:
+    """Reject bands or report times whose result columns would share a name."""
+    if len({f"{value:g}" for value in values}) < len(values):
         raise rule_error("repeats a value, to the 6 digits in its column name (drop one)")
-    return bands
-
-
-def _require_distinct_report_columns(times_s: tuple[float, ...]) -> tuple[float, ...]:
-    """Reject report times whose result columns would share a name."""
-    if len({columns.report_time_columns(time) for time in times_s}) < len(times_s):
-        raise rule_error("repeats a value, to the 6 digits in its column names (drop one)")
-    return times_s
+    return values
 
 
 def _require_increasing(times: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -177,20 +193,20 @@ Elevation = Annotated[float, Field(gt=-90, lt=90)]
 # The usual ranges are generous: a number outside is most likely in another unit.
 Seconds = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e8))]
 SecondsOrZero = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e8))]
-Period = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e7))]
+Period = Annotated[Positive, KeyInfo(usual_range=(1e-2, 1e5))]
 Band = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180 * 60))]
-Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 360), acts_as="sway")]
-Speed = Annotated[Finite, KeyInfo(usual_range=(-1e4, 1e4))]
-SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 1e4))]
-AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 360))]
+Amplitude = Annotated[NonNegative, KeyInfo(usual_range=(0, 180), acts_as="sway")]
+Speed = Annotated[Finite, KeyInfo(usual_range=(-100, 100))]
+SpeedSigma = Annotated[Positive, KeyInfo(usual_range=(1e-12, 100))]
+AngleSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 180))]
 # Beyond a turn, next to nothing is known.
-HeadingSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e4))]
-GyroSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e6))]
-AccelSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e7))]
-GyroNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))]
-AccelNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e7))]
-GyroWalk = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e4))]
-Bandwidth = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e4))]
+HeadingSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 1e4))]
+GyroSigma = Annotated[Positive, KeyInfo(usual_range=(1e-9, 36e3))]
+AccelSigma = Annotated[Positive, KeyInfo(usual_range=(1e-6, 2e5))]
+GyroNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))]
+AccelNoise = Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))]
+GyroWalk = Annotated[NonNegative, KeyInfo(usual_range=(0, 30))]
+Bandwidth = Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))]
 Factor = Annotated[Positive, KeyInfo(usual_range=(1e-9, 1e9))]
 IncreasingPair = Annotated[tuple[Finite, Finite], AfterValidator(_require_ordered)]
 Normal = tuple[Finite, NonNegative]
@@ -202,7 +218,7 @@ ReportTimes = Annotated[
     tuple[Seconds, ...],
     Field(min_length=1),
     AfterValidator(_require_increasing),
-    AfterValidator(_require_distinct_report_columns),
+    AfterValidator(_require_distinct_columns),
 ]
 Bands = Annotated[
     tuple[Band, ...], AfterValidator(require_unique), AfterValidator(_require_distinct_columns)
@@ -265,9 +281,8 @@ class Section(BaseModel):
     def alternatives(cls, first: str) -> Mapping[str, float]:
         """Return the keys that give a quantity, with their factors to the unit of the first."""
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
-        same = {key: info for key, info in infos.items() if info.alternative_to == first}
-        factors = {first: 1.0} | {key: info.factor or 1.0 for key, info in same.items()}
-        return MappingProxyType(factors)
+        keys = [first, *(key for key, info in infos.items() if info.alternative_to == first)]
+        return MappingProxyType({key: si_factor(key) / si_factor(first) for key in keys})
 
     def __dir__(self) -> list[str]:
         """Return the keys, for the completion of interactive sessions."""

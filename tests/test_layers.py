@@ -7,7 +7,7 @@ from pathlib import Path
 import sinsjax
 
 FLOORS = (
-    {"console", "errors", "gone", "messages", "toml_text", "types", "units"},
+    {"console", "errors", "gone", "messages", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
     {"methods"},
@@ -26,7 +26,7 @@ KNOW_METHODS = {"methods.registry"}
 """What in `methods` may know the methods."""
 EXTENDS = {"methods.surge": "methods.sincos"}
 """A method that is another with more states."""
-WITHOUT_JAX = set("columns errors gone messages records toml_text units value_types".split())
+WITHOUT_JAX = set("columns errors gone messages records units value_types".split())
 FOR_PEOPLE = {"matplotlib", "rich", "typer"}
 MEETS_PEOPLE = {"advice", "cli", "console", "execution", "plots", "report", "tuning"}
 JAX = {"jax", "jaxlib", "optax"}
@@ -134,10 +134,6 @@ def test_reading_input_loads_no_jax():
 def test_only_what_meets_people_imports_libraries_for_it():
     for name in MODULES:
         assert folder(name) in MEETS_PEOPLE or not imported(name)[1] & FOR_PEOPLE, name
-
-
-def test_toml_is_read_with_bounded_depth_everywhere():
-    assert {name for name in MODULES if "tomllib" in imported(name)[1]} == {"toml_text"}
 
 
 BY_NAME = {"cli", "cli.running"}

@@ -181,7 +181,7 @@ def _changed(
     if time_s is not None:
         options["advise.time_s"] = time_s
     _check_tables(data)
-    changed = apply_changes(data, options | dict(changes))
+    changed = apply_changes(apply_changes(data, options), changes)
     _check_tables(changed)
     return changed
 
@@ -224,6 +224,7 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     motion = dict(data.get("motion", {}))
     tables = {"study": study, "earth": data["earth"], "motion": motion, "sensors": sensors}
     checked = tables | _with_heading(motion, drawn) | {"alignment": {"method": "inertial"}}
+    checked["study"] = study | {"unchecked": True}  # `_check_noise` knows sheets better
     study_from_dict(without_empty(checked), name)
     for key, law in drawn.items():
         if key not in (*CONSTANT_KEYS, "yaw_center_deg"):

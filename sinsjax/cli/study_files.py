@@ -188,12 +188,12 @@ def keys(
 
     Example: sinsjax keys reset_cycle_s
     """
-    from sinsjax.study import key_table
+    from sinsjax.study import keys
 
     console = plain_console()
-    for line in key_table.describe_method(name):
+    for line in keys.describe_method(name):
         print_line(console, line, wrap=True)
-    for key in key_table.find_keys(name):
+    for key in keys.find_keys(name):
         is_fixed = key.default and not key.default.startswith("required")
         default = f"default {key.default}" if is_fixed else key.default
         about = filter(None, (key.unit, default, f"methods: {key.readers_text}"))

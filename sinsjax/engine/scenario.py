@@ -42,10 +42,10 @@ from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study import sampling
-from sinsjax.study.keys import COARSE_KEYS, EARTH_CONSTANTS, PASS_KEYS
+from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.schema import (
+    EARTH_CONSTANTS,
     TURN_KEYS,
     EarthSection,
     MotionSection,
@@ -54,10 +54,11 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Quat, Vec3
-from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, HOUR, PPM
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
 PROGRAM_KEYS = ("method", "specific_force", "position", "reset_trigger", *COARSE_KEYS)
@@ -122,7 +123,10 @@ class Scenario:
         for number in range(len(self.variant_ids)):
             keys = self.keys(number)
             if check := METHODS[keys.common("method")].check:
-                check(keys)
+                try:
+                    check(keys)
+                except InputError as error:
+                    raise error.with_source(study.name) from None
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""
@@ -187,7 +191,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
     swept += ["reset_trigger"] if study.names_schedules else []
-    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
     _, first, part = np.unique(codes, return_index=True, return_inverse=True)
     in_order = np.argsort(part, kind="stable")
     ids = np.split(in_order, np.cumsum(np.bincount(part))[:-1])
@@ -308,8 +312,8 @@ def _base_and_sensors(keys: Variants) -> BaseAndSensors:
     errors = read_errors(keys.common, keys.micro_g, keys.rate_hz)
     if keys.is_active(*keys_acting_as("quantum")):
         errors = errors._replace(
-            gyro_quantum=_read_vector(keys.common, "gyro_quantisation_arcsec", ARCSEC),
-            accel_quantum=_read_vector(keys.common, "accel_quantisation_um_per_s", 1e-6),
+            gyro_quantum=_read_vector(keys.common, keys.micro_g, "gyro_quantisation_arcsec"),
+            accel_quantum=_read_vector(keys.common, keys.micro_g, "accel_quantisation_um_per_s"),
         )
     return BaseAndSensors(errors, read_motion(keys), read_disturbances(keys, keys.rate_hz))
 
@@ -443,18 +447,23 @@ def _recorded_inputs(
 # The base and the sensors from the keys of [motion] and [sensors]
 
 
-def _read_number(common: Lookup, key: str, factor: float = 1.0) -> np.ndarray:
-    """Return a key's number (...,); the default, or zero, in place of a drawn value."""
+def _read_number(common: Lookup, key: str) -> np.ndarray:
+    """Return a key's number in SI, (...,); the default, or zero, in place of a drawn value."""
     value = common(key)
     if value is None:
         section = MotionSection if key in MotionSection.model_fields else SensorsSection
         value = section.model_fields[key].default or 0.0
-    return np.asarray(np.asarray(value, dtype=float) * factor)
+    return np.asarray(np.asarray(value, dtype=float) * units.si_factor(key))
 
 
-def _read_vector(common: Lookup, key: str, factor: float = 1.0, count: int = 3) -> np.ndarray:
-    """Return a key's numbers (..., count): one for all axes, and zero in place of a drawn value."""
-    value = common(key)
+def _read_vector(
+    common: Lookup, ug: float, key: str, count: int = 3, scale: float = 1.0
+) -> np.ndarray:
+    """Return a key's numbers in SI times a scale, (..., count), zero in place of a drawn value.
+
+    One number is that of all axes.
+    """
+    value, factor = common(key), units.si_factor(key, ug) * scale
     given = np.asarray(0.0 if value is None else value, dtype=float) * factor
     return np.broadcast_to(given, np.broadcast_shapes(given.shape, (count,)))
 
@@ -465,10 +474,10 @@ def read_sways(common: Lookup) -> Motion:
 
     def sway(angle: str) -> Sway:
         return Sway(
-            center=number(f"{angle}_center_deg", DEG),
-            amplitude=number(f"{angle}_amplitude_deg", DEG),
+            center=number(f"{angle}_center_deg"),
+            amplitude=number(f"{angle}_amplitude_deg"),
             period=number(f"{angle}_period_s"),
-            phase=number(f"{angle}_phase_deg", DEG),
+            phase=number(f"{angle}_phase_deg"),
         )
 
     return Motion(sway("pitch"), sway("roll"), sway("yaw"))
@@ -487,7 +496,7 @@ def read_motion(keys: Variants) -> Motion:
         motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
     rotates = _moves(keys) or keys.is_active("vibration_deg_per_h_rms")
     if rotates and keys.is_active("lever_arm_m"):
-        arm = np.moveaxis(_read_vector(keys.common, "lever_arm_m"), -1, 0)
+        arm = np.moveaxis(_read_vector(keys.common, keys.micro_g, "lever_arm_m"), -1, 0)
         motion = motion._replace(lever=Vec3(*arm))
     return motion
 
@@ -517,28 +526,26 @@ def add_turns(motion: Motion, keys: Variants) -> Motion:
 
 def read_errors(common: Lookup, ug: float, rate_hz: float) -> SensorErrors:
     """Return the sensor errors with their ug, m/s^2, and rate, Hz."""
-    dt, numbers = 1 / rate_hz, partial(_read_vector, common)
+    dt, numbers = 1 / rate_hz, partial(_read_vector, common, ug)
 
-    def noise(per_sample: str, density: str, units_: tuple[float, float]) -> np.ndarray:
+    def noise(per_sample: str, density: str) -> np.ndarray:
         # The standard deviation of a sample integrates to dt times it, a density to sqrt(dt).
         if common(density) is not None:
-            return numbers(density, units_[1] * np.sqrt(dt))
-        return numbers(per_sample, units_[0] * dt)
+            return numbers(density, scale=np.sqrt(dt))
+        return numbers(per_sample, scale=dt)
 
     def matrix(scale: str, cross: str) -> np.ndarray:
-        scales, angles = numbers(scale, PPM), numbers(cross, ARCSEC, 6)
+        scales, angles = numbers(scale), numbers(cross, 6)
         out = np.zeros((*np.broadcast_shapes(scales.shape[:-1], angles.shape[:-1]), 3, 3))
         out[..., range(3), range(3)] = scales
         out[..., ~np.eye(3, dtype=bool)] = angles
         return out
 
     return SensorErrors(
-        gyro_bias=numbers("gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=numbers("accel_bias_ug", ug),
-        gyro_noise=noise(
-            "gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", (DEG_PER_H, DEG_PER_SQRT_H)
-        ),
-        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", (ug, ug)),
+        gyro_bias=numbers("gyro_bias_deg_per_h"),
+        accel_bias=numbers("accel_bias_ug"),
+        gyro_noise=noise("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h"),
+        accel_noise=noise("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz"),
         gyro_matrix=matrix("gyro_scale_ppm", "gyro_misalignment_arcsec"),
         accel_matrix=matrix("accel_scale_ppm", "accel_misalignment_arcsec"),
     )
@@ -549,28 +556,28 @@ def read_disturbances(keys: Variants, rate_hz: float) -> Disturbances:
     number, vector = partial(_read_number, keys.common), partial(_read_vector, keys.common)
     dt, ug = 1 / rate_hz, keys.micro_g
 
-    def process(key: str, make: Callable[..., Process], factor: float, *others: Any) -> Any:
-        return make(vector(key, factor), *others, dt) if keys.is_active(key) else None
+    def process(key: str, make: Callable[..., Process], *others: Any) -> Any:
+        return make(vector(ug, key), *others, dt) if keys.is_active(key) else None
 
     surge_s, vibration = number("surge_time_s"), number("vibration_hz")
     if keys.common("surge_model") == "gauss_markov":
-        surge = process("surge_m_per_s", processes.gauss_markov_process, 1.0, surge_s)
+        surge = process("surge_m_per_s", processes.gauss_markov_process, surge_s)
     else:
         limited = surge_s, number("surge_bandwidth_hz")
-        surge = process("surge_m_per_s", processes.bounded_velocity_process, 1.0, *limited)
+        surge = process("surge_m_per_s", processes.bounded_velocity_process, *limited)
     resonant = vibration, number("vibration_damping")
     drift, walk = processes.sampled_mean_of_gauss_markov, processes.sampled_mean_of_random_walk
     gyro_s, accel_s = (number(f"{sensor}_instability_time_s") for sensor in ("gyro", "accel"))
     # A vibrating velocity or angle with rms 1 has a derivative with rms omega.
     omega, resonance = 2 * np.pi * vibration[..., None], processes.resonance_process
-    shaking = process("vibration_ug_rms", resonance, ug, *resonant)
-    rocking = process("vibration_deg_per_h_rms", resonance, DEG_PER_H, *resonant)
+    shaking = process("vibration_ug_rms", resonance, *resonant)
+    rocking = process("vibration_deg_per_h_rms", resonance, *resonant)
     return Disturbances(
         surge=surge,
-        gyro_instability=process("gyro_instability_deg_per_h", drift, DEG_PER_H, gyro_s),
-        accel_instability=process("accel_instability_ug", drift, ug, accel_s),
-        gyro_walk=process("gyro_rrw_deg_per_h_per_sqrt_h", walk, DEG_PER_H / np.sqrt(HOUR)),
-        accel_walk=process("accel_rrw_ug_per_sqrt_h", walk, ug / np.sqrt(HOUR)),
+        gyro_instability=process("gyro_instability_deg_per_h", drift, gyro_s),
+        accel_instability=process("accel_instability_ug", drift, accel_s),
+        gyro_walk=process("gyro_rrw_deg_per_h_per_sqrt_h", walk),
+        accel_walk=process("accel_rrw_ug_per_sqrt_h", walk),
         shaking=shaking and shaking._replace(scale=shaking.scale / omega),
         rocking=rocking and rocking._replace(scale=rocking.scale / omega),
     )
@@ -584,13 +591,13 @@ def _run_params(study: Study, keys: Variants) -> RunParams:
     start = [f"phi_{axis}0_deg" for axis in "enu"]
     drawn = any(key in study.drawn_keys for key in start)
     euler = keys.coded("misalignment").compute(lambda meaning: meaning == "euler", bool)
-    phi = Vec3(*(keys.column(key, DEG) for key in start))
+    phi = Vec3(*map(keys.si, start))
     if euler.any() and not drawn:
         phi = _rotation_vectors(keys.coded("misalignment", *start))
     return RunParams(
         phi=phi,
-        ve=keys.column("ve0_m_per_s"),
-        vn=keys.column("vn0_m_per_s"),
+        ve=keys.si("ve0_m_per_s"),
+        vn=keys.si("vn0_m_per_s"),
         method=METHODS[keys.common("method")].params(keys, np),
         euler=euler if drawn and euler.any() else None,
     )

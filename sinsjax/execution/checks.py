@@ -1,6 +1,7 @@
 """Warnings about a study before it runs, from its record or its sample rate."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,15 +21,20 @@ from sinsjax.records.anomalies import report_anomalies
 from sinsjax.records.plausibility import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
+from sinsjax.study.filter_noise import noise_ratios_by_sensor, surge_noise_ratios
 from sinsjax.study.keys import COARSE_KEYS
-from sinsjax.study.measurement_noise import surge_noise_ratios, update_variance_keys
-from sinsjax.study.process_noise import noise_ratios_by_sensor
+from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.study import Study
-from sinsjax.study.turns import useless_methods, warn_of_resets
+from sinsjax.study.success import success_criteria
+from sinsjax.study.turns import data_end_s, useless_methods
 from sinsjax.study.variants import Variants
+from sinsjax.units import ARCMIN, DEG
+from sinsjax.value_types import keys_of
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
+_START_KEYS = ("p0_yaw_deg", "phi_u0_deg")  # of filters; of other methods that need a start
+_BANDS_ARCMIN = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200)  # to set in place of narrower
 
 
 def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
@@ -52,7 +58,7 @@ def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
-    lines += [*useless_methods(study), *warn_of_resets(study)]
+    lines += [*useless_methods(study), *_band_warnings(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 
@@ -144,7 +150,7 @@ def describe_feedback_interval(study: Study) -> str | None:
     intervals_s: set[float] = set()
     settling_s: set[float] = set()
     level_keys = ("p0_velocity_m_per_s", "p0_level_deg")
-    r_keys = update_variance_keys(study)
+    r_keys = [key for key in keys_of(update_variance) if study.is_readable(key)]
     for point in study.combinations("method", "feedback_interval_s", *level_keys, *r_keys):
         method = METHODS[point["method"]]
         if "filter" not in method.sections or "surge" in method.sections:
@@ -303,6 +309,47 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
             f" {format_seconds(end)}"
         )
     return merged
+
+
+def _band_warnings(study: Study) -> Iterator[str]:
+    """Warn of a heading band that the sensors' white noise exceeds, 1 sigma, in every variant.
+
+    At most two thirds of the runs can end in such a band. The best variant counts, with all data of
+    the longest run. Bands are that of success and, if the file gives them, those of settling times.
+    """
+    settings, success_arcmin = study.study, success_criteria(study).band_arcmin
+    is_given = "settle_bands_arcmin" in settings.model_fields_set
+    given = settings.settle_bands_arcmin if is_given else ()
+    length_s = data_end_s(study)
+    keys = [key for key in ("method", *NOISE_KEYS, *_START_KEYS) if study.is_readable(key)]
+    points = study.combinations(*keys)
+    sigma = min(_heading_sigma(study.rate_hz, length_s, point) for point in points) / ARCMIN
+    narrowest = min((success_arcmin, *given))
+    if narrowest >= sigma:
+        return
+    wide = next((band for band in _BANDS_ARCMIN if band >= 4 * sigma), _BANDS_ARCMIN[-1])
+    hints = [f"settle_bands_arcmin, e.g. [{wide}]"] if min(given, default=sigma) < sigma else []
+    hints += [f"success_band_arcmin, e.g. {wide}"] if success_arcmin < sigma else []
+    yield (
+        f"{narrowest:g}' cannot be reached reliably with these sensors in {length_s:g} s"
+        f" ({float(f'{2 * sigma:.2g}'):,g}', 2 sigma of their noise): set {' and '.join(hints)}"
+    )
+
+
+def _heading_sigma(rate_hz: float, length_s: float, point: Mapping[str, Any]) -> float:
+    """Return the sigma of heading that noise leaves to a method at the end of its data, rad.
+
+    What its start knows counts. The quietest axis decides; drawn noise and a drawn start count as
+    zero, a drawn latitude as the equator.
+    """
+    method = METHODS[point["method"]]
+    quietest = {key: min(v) if isinstance(v, tuple) else v for key, v in point.items()}
+    quietest["latitude_deg"] = quietest["latitude_deg"] or 0.0
+    sigma = noise_heading_sigma(rate_hz, length_s, quietest)
+    if not method.needs_start:
+        return sigma
+    start = abs(point["p0_yaw_deg" if "filter" in method.sections else "phi_u0_deg"] or 0.0) * DEG
+    return sigma * start / math.hypot(sigma, start) if start else 0.0
 
 
 def _surge_warnings(study: Study) -> Iterator[str]:

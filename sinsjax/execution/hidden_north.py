@@ -57,7 +57,7 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     draws = min(study.n_draws, _MOST_DRAWS)
     drawn = sampling.drawn_values(study, draws)
     drawn = {key: values for key, values in drawn.items() if key in keys}
-    codes, points = study.resolved.column(*keys)
+    codes, points = study.coded(*keys)
     worst, runs = (0.0, 0.0, 0.0), 0
     for values, count in zip(points, np.bincount(codes, minlength=len(points)), strict=True):
         point = dict(zip(keys, values, strict=True)) | drawn

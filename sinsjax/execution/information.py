@@ -52,6 +52,13 @@ _CONSTANT_KEYS = keys_acting_as("bias", "distortion")
 _TIMES = 4096
 """Times per call of the motion: one program serves studies of any length."""
 
+_COLUMNS = (
+    columns.column("variant_id", "point of the study's axes", pa.int64()),
+    columns.CURVES[1],
+    columns.column("bound_u_arcmin", "least 1 sigma of phi_u of any unbiased estimator"),
+)
+"""Columns of `information_bound`."""
+
 
 def information_bound(study: Study | str | Path) -> pa.Table:
     """Return the information bound of a simulated study's heading.
@@ -89,7 +96,7 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     _check_bound_applies(study)
     scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
-    codes = study.resolved.column(*swept).codes if swept else np.zeros(study.n_variants, int)
+    codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
     bounds: dict[tuple[int, float], dict[float, float]] = {}
     rows: list[tuple[int, float, float]] = []
     for part, ids in enumerate(scenario.variant_ids):
@@ -100,11 +107,11 @@ def information_bound(study: Study | str | Path) -> pa.Table:
                 sigmas = heading_bound(times, _heading_problem(scenario, part)) / ARCMIN
                 bounds[key] = dict(zip(times, sigmas, strict=True))
             rows += [(int(variant), time, sigma) for time, sigma in bounds[key].items()]
-    names = (c.name for c in columns.INFORMATION_BOUND)
+    names = (c.name for c in _COLUMNS)
     values = zip(
         names, (np.array(column) for column in zip(*sorted(rows), strict=True)), strict=True
     )
-    return make_table(columns.INFORMATION_BOUND, dict(values))
+    return make_table(_COLUMNS, dict(values))
 
 
 def budget_problem(study: Study) -> HeadingProblem:

@@ -9,10 +9,11 @@ from sinsjax.columns import Column
 from sinsjax.methods.method import OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import key_meaning
-from sinsjax.study.resolved import CodedColumn, constant_column
+from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, START_KEYS, predict_settling
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.sweep_columns import CodedColumn, constant_column
 from sinsjax.study.variants import Variants
 
 
@@ -33,23 +34,32 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
     """Return the columns that the study determines, by name, (variants,), in the schema's types."""
     resets, cycle = study.schedules, constant_column(study.n_variants, None)
     if study.has("resets"):
-        cycle = study.resolved.column("reset_cycle_s")
+        cycle = study.coded("reset_cycle_s")
     fixed = {
-        "method": study.resolved.column("method"),
+        "method": study.coded("method"),
         "reset_count": resets.map(len),
         "reset_cycle_s": cycle,
         "reset_times_s": resets.map(list),
-        **{(key := f"phi_{a}0_deg"): study.resolved.column(key) for a in "enu"},
+        **{(key := f"phi_{a}0_deg"): study.coded(key) for a in "enu"},
     }
     if study.names_schedules:
-        fixed[columns.PREDICTED.name] = study.predicted_settling
-    swept = {key: study.resolved.column(key) for key in study.axis_keys}
+        fixed[columns.PREDICTED.name] = _predicted_settling(study)
+    swept = {key: study.coded(key) for key in study.axis_keys}
     kinds = {c.name: c.dtype for c in schema}
     return {
         name: _to_array(column, kinds[name])
         for name, column in (swept | fixed).items()
         if name not in study.drawn_keys
     }
+
+
+def _predicted_settling(study: Study) -> CodedColumn:
+    """Return the predicted settling time of each variant, s; None where nothing is predicted."""
+    keys = [key for key in (*LAW_KEYS, *DERIVED, *START_KEYS) if study.is_readable(key)]
+    missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
+    codes, choices = study.coded(*keys)
+    points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
+    return CodedColumn(codes, tuple(predict_settling(study.rate_hz, study.run_s, points)))
 
 
 def _to_array(column: CodedColumn, dtype: pa.DataType) -> pa.Array:

@@ -112,7 +112,7 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
     """Return the time of the last reset of each variant's schedule, (variants,), s; 0 for none."""
     if not study.has("resets"):
         return np.zeros(study.n_variants)
-    values = study.resolved.column(*RESET_KEYS)
+    values = study.coded(*RESET_KEYS)
     return values.compute(lambda keys: max(acting_reset_times(study.rate_hz, *keys), default=0.0))
 
 

@@ -52,7 +52,7 @@ class TableBuilder:
         self._data_before_start_s = _data_before_start_s(study)
         self._by_variant = schemas.variant_columns(study, self.summary_columns)
         self._keys = Variants.all_of(study)
-        self._methods = study.resolved.column("method")
+        self._methods = study.coded("method")
         self._method_columns = schemas.method_columns(study)
         self._start_s = np.zeros(study.n_draws)
         if study.is_recorded:
@@ -219,7 +219,7 @@ def _data_before_start_s(study: Study) -> np.ndarray:
     """Return the length of record before t = 0, s, (variants,); zero if no variant counts it."""
     if not study.counts_before:
         return np.zeros(study.n_variants)
-    column = study.resolved.column(*COARSE_KEYS)
+    column = study.coded(*COARSE_KEYS)
     return column.compute(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
 
 

@@ -38,6 +38,7 @@ from sinsjax.value_types import (
     SecondsOrZero,
     Section,
     Times,
+    field,
 )
 
 _LOOPS, _SETTINGS = ("level", "azimuth"), ("gains", "adjustment_s", "sigma_per_s")
@@ -64,59 +65,53 @@ class CompassSection(Section):
         ),
     )
 
-    level_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.02)] = Field(
-        None, description="decay rate sigma of the levelling loop, 1/s; default 0.02"
+    level_sigma_per_s: Bandwidth | None = field(
+        "decay rate sigma of the levelling loop", default=0.02
     )
-    level_adjustment_s: Seconds | None = Field(
-        None, description="alternative to level_sigma_per_s: see adjustment_reading, s"
+    level_adjustment_s: Seconds | None = field(
+        "alternative to level_sigma_per_s: see adjustment_reading"
     )
-    level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = Field(
-        None,
-        description="gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport"
-        " rates), velocity integral K3 (rad/(m s))",
+    level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = field(
+        "gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport rates),"
+        " velocity integral K3 (rad/(m s))"
     )
-    level_damping: Damping = Field(
-        loops.PAPER_DAMPING, description="damping ratio of the levelling loop"
+    level_damping: Damping = field("damping ratio of the levelling loop", loops.PAPER_DAMPING)
+    level_time_s: SecondsOrZero | None = field(
+        "levelling of both channels before the azimuth loop", default=150.0, time="s"
     )
-    level_time_s: Annotated[SecondsOrZero | None, KeyInfo(default=150.0, time="s")] = Field(
-        None, description="levelling of both channels before the azimuth loop, s; default 150"
+    level_passes: Annotated[Count, Field(ge=1)] | None = field(
+        "levelling time in passes; alternative to level_time_s", time="pass"
     )
-    level_passes: Annotated[Annotated[Count, Field(ge=1)] | None, KeyInfo(time="pass")] = Field(
-        None, description="levelling time in passes; alternative to level_time_s"
+    azimuth_sigma_per_s: Bandwidth | None = field(
+        "decay rate sigma of the azimuth loop", default=0.01
     )
-    azimuth_sigma_per_s: Annotated[Bandwidth | None, KeyInfo(default=0.01)] = Field(
-        None, description="decay rate sigma of the azimuth loop, 1/s; default 0.01"
+    azimuth_adjustment_s: Seconds | None = field(
+        "alternative to azimuth_sigma_per_s: see adjustment_reading"
     )
-    azimuth_adjustment_s: Seconds | None = Field(
-        None, description="alternative to azimuth_sigma_per_s: see adjustment_reading, s"
+    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = field(
+        "gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4 (1/s) of the"
+        " azimuth control K3 / (omega_N (s + K4))"
     )
-    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = Field(
-        None,
-        description="gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4"
-        " (1/s) of the azimuth control K3 / (omega_N (s + K4))",
-    )
-    azimuth_damping: Damping = Field(
-        loops.PAPER_DAMPING, description="damping ratio of the azimuth loop"
-    )
-    adjustment_reading: Literal["period", "settling"] = Field(
+    azimuth_damping: Damping = field("damping ratio of the azimuth loop", loops.PAPER_DAMPING)
+    adjustment_reading: Literal["period", "settling"] = field(
+        "adjustment time. 'period': of the damped oscillation. 'settling': until exp(-sigma t)"
+        " falls to adjustment_remainder",
         "period",
-        description="adjustment time. 'period': of the damped oscillation. 'settling': until"
-        " exp(-sigma t) falls to adjustment_remainder",
     )
-    adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.05, description="exp(-sigma t) after 'settling'"
+    adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = field(
+        "exp(-sigma t) after 'settling'", 0.05
     )
-    sigma_factors: Factors = Field(
-        (1.0,), description="factors on the azimuth sigma in intervals, the first from the start"
+    sigma_factors: Factors = field(
+        "factors on the azimuth sigma in intervals, the first from the start", (1.0,)
     )
-    sigma_times_s: Annotated[Times | None, KeyInfo(whole="sample", time="s")] = Field(
-        None, description="start times of the later intervals of sigma_factors, s"
+    sigma_times_s: Times | None = field(
+        "start times of the later intervals of sigma_factors", whole="sample", time="s"
     )
-    sigma_passes: Annotated[PassNumbers | None, KeyInfo(time="pass")] = Field(
-        None, description="passes before the later intervals; alternative to sigma_times_s"
+    sigma_passes: PassNumbers | None = field(
+        "passes before the later intervals; alternative to sigma_times_s", time="pass"
     )
-    allow_unstable: bool = Field(
-        False, description="whether to run loops that are unstable, or too fast for the sample time"
+    allow_unstable: bool = field(
+        "whether to run loops that are unstable, or too fast for the sample time", False
     )
 
 

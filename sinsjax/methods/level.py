@@ -16,7 +16,6 @@ the specific force about its mean, summed over three axes, as if correlated over
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from pydantic import Field
 
 from sinsjax.maths.algebra import add, cross, dot, scale, select_tree
 from sinsjax.maths.rotations import from_euler
@@ -24,7 +23,7 @@ from sinsjax.methods import method
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
-from sinsjax.value_types import AccelSigma, Section
+from sinsjax.value_types import AccelSigma, Section, field
 
 CORRELATION_S = 1.0
 """Time over which noise and vibration count as correlated, far above that of white noise, s."""
@@ -33,8 +32,8 @@ CORRELATION_S = 1.0
 class LevelSection(Section):
     """[level]: assumption of accelerometer levelling."""
 
-    level_accel_bias_ug: AccelSigma = Field(
-        5000.0, description="accelerometer bias assumed in the 1 sigma of pitch and roll, ug"
+    level_accel_bias_ug: AccelSigma = field(
+        "accelerometer bias assumed in the 1 sigma of pitch and roll", 5000.0
     )
 
 
@@ -109,9 +108,7 @@ LEVEL = method.Method(
     source="accelerometer levelling, Groves (2013) section 5.6.2",
     sections={"level": LevelSection},
     build=build,
-    params=lambda keys, xp: (
-        keys.column("level_accel_bias_ug", keys.micro_g) / keys.site.place.gravity
-    ),
+    params=lambda keys, xp: keys.si("level_accel_bias_ug") / keys.site.place.gravity,
     needs_start=False,
     finds_heading=False,
     step_s=3e-9,

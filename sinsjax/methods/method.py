@@ -230,7 +230,6 @@ class StudyKeys(Protocol):
     Attributes:
         record_interval_s: time between two record times, s.
         run_s: length of the shortest run, s.
-        end: end of that run, in words.
         is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
         site: `Site` of these variants; for params only.
         micro_g: the micro-g that the study counts in, m/s^2; for params only.
@@ -238,7 +237,6 @@ class StudyKeys(Protocol):
 
     record_interval_s: float
     run_s: float
-    end: str
     is_recorded: bool
     site: Any
     micro_g: Any
@@ -246,6 +244,11 @@ class StudyKeys(Protocol):
     @property
     def rate_hz(self) -> float:
         """Samples per second."""
+        ...
+
+    @property
+    def end(self) -> str:
+        """The end of the shortest run, in words."""
         ...
 
     @property
@@ -259,6 +262,10 @@ class StudyKeys(Protocol):
 
     def column(self, key: str, factor: float = 1.0) -> Any:
         """Return numbers times a factor, (variants,); NaN if the key is left out."""
+        ...
+
+    def si(self, key: str) -> Any:
+        """Return numbers in SI units, (variants,); NaN if the key is left out. For params only."""
         ...
 
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
@@ -289,7 +296,7 @@ class StudyKeys(Protocol):
         """Yield combinations of keys as the file gives them, before others decide their values."""
         ...
 
-    def place(self, key: str) -> str | None:
+    def given_in(self, key: str) -> str | None:
         """Return the table, in brackets, that gives a key; None if it is left out."""
         ...
 

@@ -126,9 +126,17 @@ def levelling_time(problem: ResetProblem) -> float:
 
 def heading_sigma(time_s: Any, problem: ResetProblem) -> Any:
     """Return the sigma of heading by sensor noise and surge at times (s) since a reset, rad."""
-    by_force = 12 * problem.accel_noise / (problem.gravity**2 * time_s**3)
-    by_force = by_force + 720 * problem.surge / (problem.gravity**2 * time_s**5)
-    return np.sqrt(by_force + 1.2 * problem.gyro_noise / time_s) / problem.north_rate
+    noise = problem.accel_noise, problem.gyro_noise, problem.surge
+    return noise_sigma(time_s, problem.gravity, problem.north_rate, *noise)
+
+
+def noise_sigma(
+    time_s: Any, gravity: Any, north_rate: Any, accel_noise: Any, gyro_noise: Any, surge: Any = 0.0
+) -> Any:
+    """Return the sigma of heading by noise of some densities after a time, rad; all in SI."""
+    by_force = 12 * accel_noise / (gravity**2 * time_s**3)
+    by_force = by_force + 720 * surge / (gravity**2 * time_s**5)
+    return np.sqrt(by_force + 1.2 * gyro_noise / time_s) / north_rate
 
 
 class ResetSchedule(NamedTuple):

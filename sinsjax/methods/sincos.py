@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.columns import Column
+from sinsjax.columns import column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.methods.filters.attitude import (
@@ -228,7 +227,7 @@ def _drift_deg_per_h(field: str, results: Any, rate_hz: float) -> NDArray:
 
 NORTH_DRIFT = tuple(
     OwnColumn(
-        Column(f"gyro_north_drift{suffix}_deg_per_h", pa.float64(), "deg/h", meaning),
+        column(f"gyro_north_drift{suffix}_deg_per_h", meaning),
         partial(_drift_deg_per_h, field),
     )
     for suffix, field, meaning in (

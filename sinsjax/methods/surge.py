@@ -16,8 +16,6 @@ and P is true.
 from functools import partial
 from typing import Any, NamedTuple
 
-from pydantic import Field
-
 from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.methods import sincos
 from sinsjax.methods.filters import kalman
@@ -40,7 +38,7 @@ from sinsjax.methods.method import Options, StudyKeys
 from sinsjax.methods.sincos import VE, VN
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Navigation, Scalar
-from sinsjax.value_types import Seconds, Section, SpeedSigma
+from sinsjax.value_types import Seconds, Section, SpeedSigma, field
 
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
 REVERSAL = (*sincos.REVERSAL, 1.0, 1.0, -1.0, -1.0)
@@ -102,8 +100,8 @@ def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
 class SurgeSection(Section):
     """[surge]: assumed surge of the base."""
 
-    r_surge_m_per_s: SpeedSigma = Field(0.1, description="rms velocity along east and north, m/s")
-    r_surge_time_s: Seconds = Field(5.0, description="correlation time of the velocity, s")
+    r_surge_m_per_s: SpeedSigma = field("rms velocity along east and north", 0.1)
+    r_surge_time_s: Seconds = field("correlation time of the velocity", 5.0)
 
 
 def params(keys: StudyKeys, xp: Any) -> FilterParams:

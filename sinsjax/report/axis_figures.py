@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,10 +18,26 @@ from sinsjax.report.base import Block, Picture, Text, describe_intervals
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
 from sinsjax.report.markup import render_sentence
 from sinsjax.study.keys import is_condition_key, is_method_setting
+from sinsjax.study.study import Study
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
 
 _NOT_CONVERGED = "not converged"
 _FLAG = "flagged"
+
+
+def figure_axes(study: Study) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
+    """The axes of the study's figures with their values, and all other swept keys.
+
+    They are the first two swept numbers, or else the first key with lists, such as reset times.
+    """
+    numeric, listed = {}, {}
+    for (key, *more), values in study.axes_shown.items():
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            numeric[key] = tuple(map(float, values))
+        elif not more and all(isinstance(v, tuple) for v in values):
+            listed[key] = values
+    axes = dict([*numeric.items()][:2] or [*listed.items()][:1])
+    return axes, [key for key in study.keys_shown if key not in axes]
 
 
 def build_axis_figures(source: Source) -> list[Block]:
@@ -30,7 +47,7 @@ def build_axis_figures(source: Source) -> list[Block]:
     for each point of all other keys; with one, or one whose values are lists, curves with
     intervals; with none, nothing. Then curves over each drawn number.
     """
-    axes, line_keys = source.study.figure_axes
+    axes, line_keys = figure_axes(source.study)
     blocks: list[Block]
     if len(axes) == 2:
         blocks = [
@@ -74,7 +91,7 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
 
     They are over the first two swept numbers, a panel for each point of all other keys.
     """
-    (row_key, column_key), by = source.study.figure_axes
+    (row_key, column_key), by = figure_axes(source.study)
     columns = (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
     times = [name for name in ("reset_times_s",) if "reset_count" in (row_key, column_key)]
     table = source.rows([*by, row_key, column_key, *columns, *times])

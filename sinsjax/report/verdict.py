@@ -29,7 +29,7 @@ from sinsjax.report.choices import (
     condition_name_and_unit,
 )
 from sinsjax.report.markup import render_sentence
-from sinsjax.study.process_noise import noise_ratios_by_sensor
+from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions

@@ -4,20 +4,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, WrapValidator
 
+from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
 from sinsjax.methods.registry import METHODS, external_names
-from sinsjax.value_types import (
-    Count,
-    Factor,
-    HalfTurn,
-    KeyCondition,
-    KeyInfo,
-    Seconds,
-    SecondsOrZero,
-    Section,
-    Speed,
-    rule_error,
-)
+from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
@@ -47,58 +37,55 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = Field("kalman5", description="see `sinsjax keys METHOD`")
-    phi_e0_deg: HalfTurn = Field(
+    method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
+    phi_e0_deg: vt.HalfTurn = field(
+        "initial misalignment about east; the three angles rotate the computed to the true"
+        " attitude",
         0.0,
-        description="initial misalignment about east, deg; the three angles"
-        " rotate the computed to the true attitude",
     )
-    phi_n0_deg: HalfTurn = Field(
+    phi_n0_deg: vt.HalfTurn = field(
+        "initial misalignment about north; the three angles rotate the computed to the true"
+        " attitude",
         0.0,
-        description="initial misalignment about north, deg; the three angles"
-        " rotate the computed to the true attitude",
     )
-    phi_u0_deg: HalfTurn = Field(
+    phi_u0_deg: vt.HalfTurn = field(
+        "initial misalignment about up, the heading error; the three angles rotate the computed to"
+        " the true attitude",
         0.0,
-        description="initial misalignment about up, the heading error, deg; the three angles"
-        " rotate the computed to the true attitude",
     )
-    misalignment: Literal["vector", "euler"] = Field(
+    misalignment: Literal["vector", "euler"] = field(
+        "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
         "vector",
-        description="'vector': a rotation vector. 'euler': successive rotations about up, east and"
-        " north",
     )
-    ve0_m_per_s: Speed = Field(
-        0.0,
-        description="initial computed east velocity, m/s; an error, since the base does not travel",
+    ve0_m_per_s: vt.Speed = field(
+        "initial computed east velocity; an error, since the base does not travel", 0.0
     )
-    vn0_m_per_s: Speed = Field(
-        0.0,
-        description="initial computed north velocity, m/s; an error, since the base does not"
-        " travel",
+    vn0_m_per_s: vt.Speed = field(
+        "initial computed north velocity; an error, since the base does not travel", 0.0
     )
-    position: Literal["fixed", "integrated"] = Field(
-        "fixed",
-        description="'fixed': constant. 'integrated': latitude and longitude from computed"
-        " velocity",
+    position: Literal["fixed", "integrated"] = field(
+        "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )
-    specific_force: Annotated[
-        Literal["measured", "gravity"] | None, KeyInfo(default="measured")
-    ] = Field(
-        None,
-        description="specific force in the error model. 'measured': accelerometer output in the"
-        " computed attitude. 'gravity': that of a base at rest; default 'measured'",
+    specific_force: Literal["measured", "gravity"] | None = field(
+        "specific force in the error model. 'measured': accelerometer output in the computed"
+        " attitude. 'gravity': that of a base at rest",
+        default="measured",
     )
-    feedback_interval_s: Annotated[Seconds | None, KeyInfo(whole="sample")] = Field(
-        None,
-        description="interval between feedbacks into the navigation solution, s; default: one"
-        " sample",
+    feedback_interval_s: vt.Seconds | None = field(
+        "interval between feedbacks into the navigation solution",
+        otherwise="one sample",
+        whole="sample",
     )
-    feedback_time_constant_s: Annotated[SecondsOrZero | None, KeyInfo(default=0.0)] = Field(
-        None,
-        description="time constant T, s: each feedback applies 1 - exp(-interval / T) of the"
-        " estimate, all if T = 0; default 0",
+    feedback_time_constant_s: vt.SecondsOrZero | None = field(
+        "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
+        " 0",
+        default=0.0,
     )
+
+
+_Reversal = Literal[
+    "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
+]
 
 
 class PassesSection(Section):
@@ -119,52 +106,38 @@ class PassesSection(Section):
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: Annotated[Seconds | None, KeyInfo(whole="record")] = Field(
-        None,
-        description="length of the stored record, s. Without it a run reads all data once, forward",
+    stored_s: vt.Seconds | None = field(
+        "length of the stored record. Without it a run reads all data once, forward", whole="record"
     )
-    passes: Annotated[Count, Field(ge=1)] | None = Field(
-        None,
-        description="number of passes; default: set by `ending`",
+    passes: Annotated[vt.Count, Field(ge=1)] | None = field(
+        "number of passes", otherwise="set by `ending`"
     )
-    ending: Literal["duration", "forward"] = Field(
+    ending: Literal["duration", "forward"] = field(
+        "end of a run without `passes`. 'duration': duration_s, even within a pass. 'forward': the"
+        " last complete forward pass within it",
         "duration",
-        description="end of a run without `passes`. 'duration': duration_s, even within a pass."
-        " 'forward': the last complete forward pass within it",
     )
-    direction: Literal["alternate", "rewind"] | None = Field(
-        None,
-        description="'alternate': every second pass backward. 'rewind': all forward, each from the"
-        " attitude propagated back to the record's start; default: 'alternate'",
+    direction: Literal["alternate", "rewind"] | None = field(
+        "'alternate': every second pass backward. 'rewind': all forward, each from the attitude"
+        " propagated back to the record's start",
+        otherwise="'alternate'",
     )
-    turn: Annotated[
-        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None,
-        KeyInfo(default="reflect"),
-    ] = Field(
-        None,
-        description="compass states that change sign at a reversal, with the levelling"
-        " integrals. 'velocity': velocity, as in paper 2. 'reflect': velocity and"
-        " tilt, so the loops continue their motion. 'velocity_and_rate': velocity"
-        " and azimuth rate. 'velocity_drop_rate': velocity; azimuth rate becomes"
-        " zero. 'keep': none. 'restart': all become zero but the attitude; default"
-        " 'reflect'",
+    turn: _Reversal | None = field(
+        "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
+        " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
+        " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
+        " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
+        default="reflect",
     )
-    turn_smoothing_s: Annotated[Seconds | None, KeyInfo(default=5.0)] = Field(
-        None,
-        description="delay of the low-pass filter on specific force for the tilt of 'reflect', s;"
-        " default 5",
+    turn_smoothing_s: vt.Seconds | None = field(
+        "delay of the low-pass filter on specific force for the tilt of 'reflect'", default=5.0
     )
-    turn_covariance: Annotated[
-        Literal["carried", "inflated", "reset"] | None, KeyInfo(default="carried")
-    ] = Field(
-        None,
-        description="P after a reversal. 'carried': unchanged. 'inflated': multiplied by"
-        " turn_inflation. 'reset': P0; default 'carried'",
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = field(
+        "P after a reversal. 'carried': unchanged. 'inflated': multiplied by turn_inflation."
+        " 'reset': P0",
+        default="carried",
     )
-    turn_inflation: Annotated[Factor | None, KeyInfo(default=10.0)] = Field(
-        None, description="factor on P with 'inflated'; default 10"
-    )
+    turn_inflation: vt.Factor | None = field("factor on P with 'inflated'", default=10.0)
 
 
 def _is_aligned(method: str) -> bool:
@@ -190,16 +163,15 @@ class CoarseSection(Section):
         KeyCondition(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),
     )
 
-    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = Field(
+    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(
+        "'inertial': rotation of gravity in inertial space, for a swaying base. 'analytic': mean"
+        " specific force and rate, for a base at rest; only to hand over a record. 'optimisation':"
+        " least squares of integrated velocities. 'none': only in a simulation",
         "inertial",
-        description="'inertial': rotation of gravity in inertial space, for a swaying base."
-        " 'analytic': mean specific force and rate, for a base at rest; only to hand"
-        " over a record. 'optimisation': least squares of integrated velocities. 'none':"
-        " only in a simulation",
     )
-    coarse_duration_s: Seconds = Field(60.0, description="duration, s")
-    coarse_then: Literal["hand_over", "replay"] | None = Field(
-        None,
-        description="'hand_over': the method starts with the data that follow. 'replay': with the"
-        " first sample, from the coarse attitude propagated back; default: 'hand_over'",
+    coarse_duration_s: vt.Seconds = field("duration", 60.0)
+    coarse_then: Literal["hand_over", "replay"] | None = field(
+        "'hand_over': the method starts with the data that follow. 'replay': with the first"
+        " sample, from the coarse attitude propagated back",
+        otherwise="'hand_over'",
     )

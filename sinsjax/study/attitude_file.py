@@ -1,7 +1,6 @@
 """The file of a simulated base's attitude: reading, identity, and the rules of its key."""
 
 import hashlib
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from sinsjax.study.schema import TURN_KEYS, EarthSection, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.study.turns import data_end_s
 
-KEY = "attitude_file"
 _ANGLE_KEYS = tuple(
     key for key in MotionSection.model_fields if key.endswith(("_center_deg", "_amplitude_deg"))
 )
@@ -39,37 +37,31 @@ def read_attitude(study: Study) -> Reference | None:
     name = attitude_file(study)
     if name is None:
         return None
-    attitude = _read(name, *_state(name))
+    attitude = _read(name, *_time_and_size(name))
     time_s, angles = attitude.time_s, attitude.attitude_deg
     end_s, steps = data_end_s(study), np.diff(time_s)
     if time_s[0] > 0 or time_s[-1] < end_s * (1 - 1e-9):
-        raise InputError(
-            f"{name}: covers {time_s[0]:.12g} to {time_s[-1]:.12g} s, but the study needs 0 to"
-            f" {end_s:.12g} s (shorten the runs, or give a longer file)"
-        )
+        text = f"covers {time_s[0]:.12g} to {time_s[-1]:.12g} s, but the study needs 0 to"
+        raise InputError(f"{name}: {text} {end_s:.12g} s (shorten the runs, or give a longer file)")
     if steps.max() > _LONGEST_STEP * np.median(steps):
         at = int(steps.argmax())
-        raise InputError(
-            f"{name}: has a gap of {steps[at]:.6g} s after {time_s[at]:.12g} s (fill it in; other"
-            f" steps are {np.median(steps):.6g} s)"
-        )
+        text = f"has a gap of {steps[at]:.6g} s after {time_s[at]:.12g} s"
+        raise InputError(f"{name}: {text} (fill it in; other steps are {np.median(steps):.6g} s)")
     small = np.abs(angles).max() <= 2 * np.pi
     if small and np.ptp(angles[:, 2]) >= _LEAST_MOTION_DEG and not study.study.unchecked:
-        raise InputError(
-            f"{name}: all angles are within 2 pi, are they in radians? (give degrees;"
-            " [study] unchecked = true accepts them)"
-        )
+        hint = "give degrees; [study] unchecked = true accepts them"
+        raise InputError(f"{name}: all angles are within 2 pi, are they in radians? ({hint})")
     return attitude
 
 
 def digest(study: Study) -> str | None:
     """Return a digest of the file's content, which is part of the study's identity."""
     name = attitude_file(study)
-    return None if name is None else _digest(name, *_state(name))
+    return None if name is None else _digest(name, *_time_and_size(name))
 
 
-def _state(name: str) -> tuple[int, int]:
-    """Return what changes with a file: time and size."""
+def _time_and_size(name: str) -> tuple[int, int]:
+    """Return what changes with a file."""
     try:
         state = Path(name).stat()
     except OSError as error:
@@ -87,17 +79,17 @@ def _digest(name: str, time_ns: int, size: int) -> str:
     return hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
 
 
-def check_attitude_key(study: Study, key_tables: Mapping[str, str]) -> None:
+def refuse_other_angles(study: Study) -> None:
     """Refuse angles, turns and drawn motion together with a file of the attitude."""
     if attitude_file(study) is None:
         return
     fields: dict[str, Any] = MotionSection.model_fields
     for key in (*_ANGLE_KEYS, *TURN_KEYS):
-        drawn = key in study.drawn_keys
-        if drawn or any(point[key] != fields[key].default for point in study.combinations(key)):
-            text = f"conflicts with {KEY} in [motion], which gives all angles (drop one of them)"
-            raise InputError(f"{key_tables.get(key, '[motion]')} {key}: {text}")
+        points = study.combinations(key)
+        if key in study.drawn_keys or any(point[key] != fields[key].default for point in points):
+            text = "conflicts with attitude_file in [motion], which gives all angles"
+            study.refuse(key, f"{text} (drop one of them)")
     for key in study.drawn_keys:
         if key in EarthSection.model_fields or key in fields:
-            text = f"cannot be drawn with {KEY} in [motion] (give it one value, or sweep it)"
-            raise InputError(f"[drawn] {key}: {text}")
+            text = "cannot be drawn with attitude_file in [motion]"
+            study.refuse(key, f"{text} (give it one value, or sweep it)")

@@ -6,21 +6,37 @@ drawn key.
 """
 
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study.files import TOO_DEEP
-from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys, leaf_info
-from sinsjax.toml_text import parse_toml
+from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
-def parse_changes(texts: Iterable[str]) -> TomlTable:
+class SetOptions(dict[str, Any]):
+    """The values of ``--set`` by place, whose user is told what else they drop."""
+
+    def __init__(self) -> None:
+        """Begin without changes."""
+        super().__init__()
+        self._told = set[str]()
+
+    def tell(self, line: str) -> None:
+        """Print a line on the standard error, once."""
+        if line not in self._told:
+            from sinsjax.console import print_warning
+
+            print_warning(line)
+            self._told.add(line)
+
+
+def parse_changes(texts: Iterable[str]) -> SetOptions:
     """Return the values of some texts ``PLACE=VALUE`` by place.
 
     Values are written as in TOML; a single word needs no quotes.
@@ -28,13 +44,13 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
     Raises:
         InputError: a text has no place or no value, or a value is nested too deeply.
     """
-    changes = {}
+    changes = SetOptions()
     for text in texts:
         place, equals, value = (part.strip() for part in text.partition("="))
         if not (place and equals and value):
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
         try:
-            changes[place] = parse_toml(f"value = {value}")["value"]
+            changes[place] = tomllib.loads(f"value = {value}")["value"]
         except ValueError:
             if _COMMA.fullmatch(value):
                 hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
@@ -52,6 +68,8 @@ def parse_changes(texts: Iterable[str]) -> TomlTable:
 def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
+    The user of `SetOptions` is told the alternatives to a key that it replaces.
+
     Args:
         tables: sections by name.
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
@@ -59,9 +77,11 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
             table drops the section, key, axis or table of that name.
 
     Raises:
-        InputError: a place does not name a section and a key, or there is nothing to drop.
+        InputError: a place does not name a section and a key, there is nothing to drop, or two
+            changes are alternatives.
     """
-    result = {name: copy_tables(table) for name, table in tables.items()}
+    result: TomlTable = copy_tables(tables)
+    places: dict[str, str] = {}  # by key
     for place, value in changes.items():
         section, *path = place.split(".")
         if value == {}:
@@ -84,7 +104,13 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
         table[path[-1]] = value
         key = path[0] if section != "axes" else path[-1]
         if section in _SWEEP_TABLES or (section in SECTIONS and len(path) == 1):
-            _remove_key_from_others(result, key, table if section == "axes" else result[section])
+            for other in alternative_keys(key) & places.keys():
+                raise InputError(f"{place}: conflicts with {places[other]} (give one of them)")
+            places[key] = place
+            kept = table if section == "axes" else result[section]
+            dropped = _remove_key_from_others(result, key, kept)
+            if dropped and isinstance(changes, SetOptions):
+                changes.tell(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
@@ -99,31 +125,6 @@ def _delete_place(tables: TomlTable, place: str) -> None:
     del table[name]
 
 
-def remove_defaults(
-    tables: Mapping[str, TomlTable], other_defaults: Mapping[str, Any]
-) -> TomlTable:
-    """Return the tables of a resolved study without the defaults that depend on other keys.
-
-    Args:
-        tables: sections by name.
-        other_defaults: defaults by key that neither the field nor its `KeyInfo` has.
-    """
-    result = dict(tables)
-    for name in SECTIONS.keys() & tables.keys():
-        fields, values = SECTIONS[name].model_fields, tables[name]
-        defaults = dict(other_defaults)
-        for key in fields.keys() & values.keys():
-            default = leaf_info(key).default if SECTION_OF[key] == name else None
-            if default is not None:
-                defaults[key] = default
-            elif fields[key].default_factory or name in SECTIONS_OF_METHODS:
-                defaults[key] = fields[key].get_default(
-                    call_default_factory=True, validated_data=values
-                )
-        result[name] = {k: v for k, v in values.items() if k not in defaults or v != defaults[k]}
-    return result
-
-
 def copy_tables(value: Any) -> Any:
     """Return a deep copy of tables and lists, which may be changed."""
     if isinstance(value, Mapping):
@@ -131,21 +132,34 @@ def copy_tables(value: Any) -> Any:
     return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
-def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> None:
+def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> list[str]:
     """Remove a key and its alternatives from all tables that give or vary them.
 
     The table ``kept_table`` retains the key itself, in its position. An empty zip is removed, and
     so is [drawn] if it does not draw a key any more.
+
+    Returns:
+        The alternatives that are gone, each after its table in brackets.
     """
     axes, cases = (tables.get(name) for name in ("axes", "cases"))
     axes = axes if isinstance(axes, dict) else {}
-    given_tables = [tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"]
-    for table in (*given_tables, *axes.values(), *(cases if isinstance(cases, list) else ())):
-        for removed in {key, *alternative_keys(key)} if isinstance(table, dict) else ():
-            if table is not kept_table or removed != key:
-                table.pop(removed, None)
+    given = {
+        f"[{name}]": tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"
+    }
+    given |= {f"[axes.{name}]": table for name, table in axes.items()}
+    rows = [("[cases]", row) for row in (cases if isinstance(cases, list) else ())]
+    dropped: dict[str, None] = {}
+    for name, table in (*given.items(), *rows):
+        if not isinstance(table, dict):
+            continue
+        if table is not kept_table:
+            table.pop(key, None)
+        for other in sorted(alternative_keys(key) & table.keys()):
+            del table[other]
+            dropped[f"{name} {other}"] = None
     for name in [name for name, table in axes.items() if table == {}]:
         del axes[name]
     drawn = tables.get("drawn")
     if isinstance(drawn, dict) and drawn is not kept_table and drawn.keys() <= {"sampling"}:
         del tables["drawn"]
+    return list(dropped)

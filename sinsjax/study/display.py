@@ -14,29 +14,18 @@ _MAX_LISTED_VALUES = 3
 
 
 def format_text(title: str, facts: Mapping[str, str]) -> str:
-    """Return a title and facts, one line each.
-
-    Args:
-        title: what is displayed.
-        facts: short texts by name.
-    """
+    """Return a title and facts, short texts by name, one line each."""
     width = max(map(len, facts))
     lines = (title, *(f"  {name:<{width}}  {fact}" for name, fact in facts.items()))
     return "\n".join(shorten(escape_controls(line), WIDTH) for line in lines)
 
 
 def format_html(title: str, facts: Mapping[str, str]) -> str:
-    """Return a title and facts as an HTML table, in which all text is escaped.
-
-    Args:
-        title: what is displayed.
-        facts: short texts by name.
-    """
-    rows = (
-        f"<tr><th>{_escape_html(name)}</th><td>{_escape_html(fact)}</td></tr>"
-        for name, fact in facts.items()
-    )
-    return f"<table><caption>{_escape_html(title)}</caption>{''.join(rows)}</table>"
+    """Return a title and facts as an HTML table, in which all text is escaped."""
+    title, *cells = (escape(escape_controls(text)) for text in (title, *sum(facts.items(), ())))
+    rows = zip(cells[::2], cells[1::2], strict=True)
+    body = "".join(f"<tr><th>{name}</th><td>{fact}</td></tr>" for name, fact in rows)
+    return f"<table><caption>{title}</caption>{body}</table>"
 
 
 def describe_axis(keys: Sequence[str], values: Sequence[Any]) -> str:
@@ -52,19 +41,11 @@ def describe_axis(keys: Sequence[str], values: Sequence[Any]) -> str:
     first, *others = keys
     if others:
         return f"{first} and {len(others)} more ({len(values)})"
-    texts = [f"{value:g}" if _is_number(value) else str(value) for value in values]
-    if len(texts) <= _MAX_LISTED_VALUES and all(
-        _is_number(v) or text.isidentifier() for v, text in zip(values, texts, strict=True)
-    ):
+    numeric = [isinstance(value, int | float) and not isinstance(value, bool) for value in values]
+    texts = [f"{v:g}" if number else str(v) for v, number in zip(values, numeric, strict=True)]
+    short = (number or t.isidentifier() for number, t in zip(numeric, texts, strict=True))
+    if len(texts) <= _MAX_LISTED_VALUES and all(short):
         return f"{first} {', '.join(texts)}"
-    if all(map(_is_number, values)):
+    if all(numeric):
         return f"{first} {min(values):g}..{max(values):g} ({len(values)})"
     return f"{first} ({len(values)})"
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _escape_html(text: str) -> str:
-    return escape(escape_controls(text))

@@ -2,6 +2,7 @@
 
 import os
 import re
+import tomllib
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Any
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.platform.assets import asset_path
-from sinsjax.toml_text import parse_toml
 
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
@@ -75,9 +75,8 @@ def find_study_file(name_or_path: str | Path) -> Path:
     with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
     if os.path.isfile(with_suffix):
         return with_suffix
-    if path.parent.as_posix() in (".", _FOLDER):
-        return shipped_studies().get(with_suffix.stem, path)
-    return path
+    is_shipped = path.parent.as_posix() in (".", _FOLDER)
+    return shipped_studies().get(with_suffix.stem, path) if is_shipped else path
 
 
 def describe_shadowed_study(name_or_path: str | Path) -> list[str]:
@@ -125,13 +124,10 @@ def shipped_text(name: str) -> str:
     Raises:
         InputError: the name is unknown.
     """
-    known = shipped_studies() | template_files()
-    stem = Path(name).stem
+    known, stem = shipped_studies() | template_files(), Path(name).stem
     if stem not in known:
-        raise InputError(
-            f"{name}: no study of this name (`init --list` shows them)"
-            f"{suggest_closest(stem, known)}"
-        )
+        hint = suggest_closest(stem, known)
+        raise InputError(f"{name}: no study of this name (`init --list` shows them){hint}")
     return f"{schema_line()}\n{_name_pages(_read_body(known[stem]))}"
 
 
@@ -158,23 +154,18 @@ def _read_body(path: Path) -> str:
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a study file, unchecked.
-
-    Args:
-        path: file, or name of a shipped study.
+    """Return the tables of a study, of a file or a shipped one, unchecked.
 
     Raises:
         InputError: the file cannot be read or is not TOML.
     """
     name = source_name(path)
     try:
-        tables = parse_toml(find_study_file(path).read_text("utf-8-sig"))
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{name}: cannot be read: {error.strerror}{_similar_study_hint(path)}"
-        ) from None
+        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except OSError as error:
-        raise InputError(f"{name}: cannot be read: {error.strerror}") from None
+        missing = isinstance(error, FileNotFoundError)
+        hint = suggest_closest(Path(path).stem, shipped_studies()) if missing else ""
+        raise InputError(f"{name}: cannot be read: {error.strerror}{hint}") from None
     except UnicodeDecodeError:
         raise InputError(f"{name}: is not UTF-8 text (save it as UTF-8)") from None
     except ValueError as error:
@@ -190,12 +181,8 @@ def check_nesting(content: Any, source: str | Path) -> None:
 
     The TOML parser accepts them, for example ``[a.a.a.a]``.
 
-    Args:
-        content: content of a file.
-        source: name of the file in the message.
-
     Raises:
-        InputError: the content is nested too deeply.
+        InputError: the content of the source is nested too deeply.
     """
     level = [content]
     for _ in range(_MAX_NESTING):
@@ -204,8 +191,3 @@ def check_nesting(content: Any, source: str | Path) -> None:
         level = [*chain.from_iterable(tables), *chain.from_iterable(lists)]
     if level:
         raise InputError(f"{source}: {TOO_DEEP}")
-
-
-def _similar_study_hint(name_or_path: str | Path) -> str:
-    """Return a hint at the shipped study with the most similar name; empty without one."""
-    return suggest_closest(Path(name_or_path).stem, shipped_studies())

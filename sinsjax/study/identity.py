@@ -53,12 +53,11 @@ def describe_differences(
         labels: words for the places of both.
     """
     old_values, new_values = _values_by_key(old), _values_by_key(new)
-    changed = [
-        f"{key}: {_format_value(old_values.get(key))} {labels[0]},"
-        f" {_format_value(new_values.get(key))} {labels[1]}"
-        for key in dict.fromkeys((*old_values, *new_values))
-        if old_values.get(key) != new_values.get(key)
-    ]
+    changed = []
+    for key in dict.fromkeys((*old_values, *new_values)):
+        values = [_format_value(found.get(key)) for found in (old_values, new_values)]
+        if old_values.get(key) != new_values.get(key):
+            changed.append(f"{key}: {values[0]} {labels[0]}, {values[1]} {labels[1]}")
     if not changed and any(key.endswith("attitude_file") for key in new_values):
         return ["the content of [motion] attitude_file, or the order of its keys"]
     return changed or ["its keys are in another order"]
@@ -66,20 +65,22 @@ def describe_differences(
 
 def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a study by section and key of its file."""
-    content = sections_to_json(study) if isinstance(study, Study) else dict(study)
-    content.pop("tune", None)
-    settings = _as_table(content.get("study"))
-    content["study"] = {k: v for k, v in settings.items() if k not in ("name", "unchecked")}
-    tables = {f"axes.{name}": keys for name, keys in _as_table(content.pop("zips", None)).items()}
-    drawn = dict(_as_table(content.pop("drawn", None)))
+    content = dict(sections_to_json(study) if isinstance(study, Study) else study)
+    for name in ("tune", "zips", "drawn", "cases"):
+        content.setdefault(name, {})
+    zips, drawn, cases = (content.pop(name) for name in ("zips", "drawn", "cases"))
+    del content["tune"]
+    tables = content | {f"axes.{name}": keys for name, keys in _as_table(zips).items()}
+    drawn = dict(_as_table(drawn))
     tables["drawn"] = {**_as_table(drawn.pop("laws", None)), **drawn}
-    cases = content.pop("cases", None)
-    for i, case in enumerate(cases if isinstance(cases, list) else ()):
-        tables[f"cases {i}"] = case
+    cases = cases if isinstance(cases, list) else ()
+    tables |= {f"cases {i}": case for i, case in enumerate(cases)}
+    ignored = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
     return {
-        f"[{table}] {key}": value
-        for table, keys in (content | tables).items()
+        place: value
+        for table, keys in tables.items()
         for key, value in _as_table(keys).items()
+        if (place := f"[{table}] {key}") not in ignored
     }
 
 

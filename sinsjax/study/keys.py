@@ -1,9 +1,11 @@
-"""The keys of a study: `KEYS` has one object per key, with all its metadata.
+"""The keys of a study: `KEYS` has one object per key, which the rules, messages and pages read.
 
-The key table, the JSON schema, the messages and the rules read it.
+``python -m sinsjax.study.keys`` prints the page docs/keys.md, with ``--schema`` the JSON schema
+configs/schema.json, by which editors complete and explain the keys of a file.
 """
 
-import re
+import json
+import sys
 from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any, Literal, NamedTuple, get_args, get_origin
@@ -12,42 +14,36 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from sinsjax import gone
+from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.plugins import exclude_clashing
-from sinsjax.methods.registry import METHODS, REGISTRY, SECTIONS_OF_METHODS, external_names
-from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.study.schema import (
-    AdviseSection,
-    Distribution,
-    DrawnSection,
-    EarthSection,
-    MotionSection,
-    Range,
-    RecordSection,
-    SensorsSection,
-    StopWhenSection,
-    StudySection,
-    TuneSection,
+from sinsjax.methods.registry import (
+    BROKEN,
+    METHODS,
+    PACKAGES,
+    REGISTRY,
+    SECTIONS_OF_METHODS,
+    external_names,
 )
+from sinsjax.study import alignment, schema
 from sinsjax.units import split_unit
 from sinsjax.value_types import KeyCondition, KeyInfo, Section, key_info
 
 _SECTIONS_BEFORE: dict[str, type[Section]] = {
-    "study": StudySection,
-    "earth": EarthSection,
-    "motion": MotionSection,
-    "sensors": SensorsSection,
-    "alignment": AlignmentSection,
+    "study": schema.StudySection,
+    "earth": schema.EarthSection,
+    "motion": schema.MotionSection,
+    "sensors": schema.SensorsSection,
+    "alignment": alignment.AlignmentSection,
 }
 _SECTIONS_AFTER: dict[str, type[Section]] = {
-    "passes": PassesSection,
-    "record": RecordSection,
-    "coarse": CoarseSection,
-    "stop_when": StopWhenSection,
-    "tune": TuneSection,
+    "passes": alignment.PassesSection,
+    "record": schema.RecordSection,
+    "coarse": alignment.CoarseSection,
+    "stop_when": schema.StopWhenSection,
+    "tune": schema.TuneSection,
 }
-
 _TABLES_OF_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
 exclude_clashing(REGISTRY, _SECTIONS_BEFORE | _SECTIONS_AFTER | _TABLES_OF_SWEEPS)
 
@@ -64,36 +60,31 @@ SIMULATED_ONLY = ("motion", "sensors", "stop_when")
 """Sections that a recorded study cannot have."""
 
 SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.model_fields} | {
-    key: "sensors" for key in SensorsSection.model_fields
+    key: "sensors" for key in schema.SensorsSection.model_fields
 }
 """Section of each leaf key; of the bias keys that [record] has too, it is [sensors]."""
-
-EARTH_CONSTANTS = {
-    "gravity_m_per_s2": 9.8,
-    "radius_m": 6378137.0,
-    "earth_rate_deg_per_h": 15.041067,
-}
-"""Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
 PASS_KEYS = ("stored_s", "passes", "ending", "direction")
 """Keys that determine the number of updates and the sample of the stored record that each reads."""
 
-COARSE_KEYS = tuple(CoarseSection.model_fields)
+COARSE_KEYS = tuple(alignment.CoarseSection.model_fields)
 """Keys of coarse alignment."""
-
-TomlTable = dict[str, Any]
-
 
 TABLES: dict[str, type[Section]] = {
     **SECTIONS,
-    "drawn": DrawnSection,
-    "drawn.KEY": Distribution,
-    "tune.variables.KEY": Range,
-    "advise": AdviseSection,
+    "drawn": schema.DrawnSection,
+    "drawn.KEY": schema.Distribution,
+    "tune.variables.KEY": schema.Range,
+    "advise": schema.AdviseSection,
 }
 """Tables of a study file that have keys."""
 
-_DEFAULT_TEXT = re.compile(r"[;,] default:? (?P<default>[^;()]+)$")
+TomlTable = dict[str, Any]
+
+_VARYING = (
+    "`[axes] KEY = [...]` sweeps a key, `[axes.NAME]` several together, `[[cases]]`"
+    " lists values and a label (`case`) per case"
+)
 
 
 class Key(NamedTuple):
@@ -104,7 +95,7 @@ class Key(NamedTuple):
         name: leaf key.
         unit: unit of its numbers; empty without one.
         default: value as a file writes it, a description, or ``required``; empty without a default.
-        meaning: description without unit and default, with the words that the key accepts.
+        meaning: description, with the words that the key accepts.
         info: usual range, and dependence of the default on other keys.
         methods: methods that read it.
         depends_on: keys whose values decide whether it has an effect.
@@ -143,16 +134,14 @@ def leaf_info(key: str) -> KeyInfo:
 
 
 def key_meaning(key: str) -> str:
-    """Return the description of a leaf key in its section."""
-    if key not in SECTION_OF:
-        return "label of the case"
-    return SECTIONS[SECTION_OF[key]].model_fields[key].description or ""
+    """Return the meaning of a leaf key, or of the label of cases."""
+    return KEYS[SECTION_OF[key], key].meaning if key in SECTION_OF else "label of the case"
 
 
 def key_summary(section: str, key: str) -> str:
-    """Return the first sentence of a key's description, as a hint in messages."""
-    description = SECTIONS[section].model_fields[key].description or ""
-    return _split_default(description)[0].partition(". ")[0]
+    """Return the first sentence of a key's description with its unit, as a hint in messages."""
+    entry = KEYS[section, key]
+    return ", ".join(filter(None, (entry.meaning.partition(". ")[0], entry.unit)))
 
 
 def alternative_keys(key: str) -> set[str]:
@@ -215,50 +204,33 @@ def accepted_words(annotation: Any) -> tuple[str, ...]:
 
 
 def _build_key(section: str, name: str, field: FieldInfo) -> Key:
-    text, default_text = _split_default(field.description or "")
-    unit, words = split_unit(name)[1], accepted_words(field.annotation)
-    text = _drop_unit(text, unit)
-    choices = ", ".join(map(format_toml, words))
+    text, words = field.description or "", accepted_words(field.annotation)
+    if not all(f"'{word}'" in text for word in words):
+        text = f"{text} ({', '.join(map(format_toml, words))})"
     is_leaf = SECTION_OF.get(name) == section
-    is_required = default_text.startswith("required")  # its own default is never used
     return Key(
         section,
         name,
-        unit,
-        default_text if is_required else _format_default(name, field) or default_text,
-        f"{text} ({choices})" if choices and not _names_all(text, words) else text,
+        split_unit(name)[1],
+        _format_default(field),
+        text,
         key_info(field),
         reading_methods(name) if is_leaf else tuple(METHODS),
         deciding_keys(name) if is_leaf else (),
     )
 
 
-def _drop_unit(text: str, unit: str) -> str:
-    """Return a description without the unit, which `Key.unit` gives."""
-    return re.sub(rf", {re.escape(unit)}(?=[.;:,]|$)", "", text, count=1) if unit else text
-
-
-def _names_all(text: str, words: Iterable[str]) -> bool:
-    """Return whether a description explains each word that the key accepts."""
-    return all(f"'{word}'" in text for word in words)
-
-
-def _split_default(description: str) -> tuple[str, str]:
-    """Split a description into its text and the default at its end."""
-    match = _DEFAULT_TEXT.search(description)
-    return (description[: match.start()], match["default"]) if match else (description, "")
-
-
-def _format_default(name: str, field: FieldInfo) -> str:
-    """Return the default of a key as a file writes it; empty if it is not a fixed value."""
-    if (default := key_info(field).default) is not None:
-        return format_toml(default)
-    if name in EARTH_CONSTANTS:
-        return format_toml(EARTH_CONSTANTS[name])
-    if field.default_factory is not None or field.default in (None, PydanticUndefined):
-        required = field.is_required() and not _split_default(field.description or "")[1]
-        return "required" if required else ""
-    return format_toml(field.default)
+def _format_default(field: FieldInfo) -> str:
+    """Return the default of a key in its words, or as a file writes it; empty without one."""
+    info = key_info(field)
+    if isinstance(info.otherwise, str):
+        return info.otherwise
+    if info.in_simulation is not None:
+        return f"{info.in_simulation} in a simulation"
+    for value in (info.otherwise, info.default, info.same_as, field.default):
+        if value not in (None, PydanticUndefined):
+            return format_toml(value)
+    return "required" if field.is_required() else ""
 
 
 def format_toml(value: Any) -> str:
@@ -278,3 +250,167 @@ KEYS: dict[tuple[str, str], Key] = {
     for name, field in model.model_fields.items()
 }
 """Keys of a study file by table and name."""
+
+
+def find_keys(name: str | None = None) -> list[Key]:
+    """Return all keys of a study, or those of a section, a method or a name.
+
+    Args:
+        name: section, key, ``section.key``, or a method for the keys of its sections; None for
+            all keys; a section has those of its tables. Any other text finds the keys whose name
+            contains it.
+
+    Raises:
+        InputError: nothing has this name.
+    """
+    if name in METHODS:
+        sections = METHODS[name].sections
+        return [key for key in KEYS.values() if key.section in sections and name in key.methods]
+    if name in BROKEN:
+        raise InputError(BROKEN[name])
+    if name in ("axes", "cases"):
+        raise InputError(f"[{name}]: has the keys of other sections ({_VARYING})")
+    if name is None:
+        return [*KEYS.values()]
+    names = {text: None for s, key in KEYS for text in (s, s.partition(".")[0], key, f"{s}.{key}")}
+    found = [
+        key
+        for (section, leaf), key in KEYS.items()
+        if name in (section, leaf, f"{section}.{leaf}") or section.startswith(f"{name}.")
+    ] or [key for key in KEYS.values() if name and name in key.name]
+    if not found:
+        hint = suggest_closest(name, [*names, *METHODS]) or " (`sinsjax keys` lists all keys)"
+        raise InputError(f"{name}: unknown section, key or method{hint}")
+    return found
+
+
+def describe_method(method_name: str | None) -> list[str]:
+    """Return the description of a method in lines; empty for another name."""
+    if method_name not in METHODS:
+        return []
+    method = METHODS[method_name]
+    package, version = PACKAGES.get(method_name, ("", ""))
+    sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
+    read = (key for key in (*INITIAL_KEYS, *method.reads) if key not in method.idle_keys)
+    reads = ", ".join(read) or "nothing"
+    return [
+        f"{method_name}: {method.summary}",
+        f"    source: {method.source}",
+        *([f"    package: {package} {version}"] if package else []),
+        f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
+        *([f"    keys without effect: {', '.join(method.idle_keys)}"] if method.idle_keys else []),
+    ]
+
+
+def keys_page() -> str:
+    """Return the page of all keys, with default, meaning and methods, as Markdown."""
+    sweepable = ", ".join(f"[{name}]" for name in SWEEPABLE)
+    of_filters = KEYS["filter", "p0_velocity_m_per_s"]
+    lines = [
+        "# Keys of a study",
+        "",
+        "`sinsjax keys [SECTION|KEY|METHOD]` prints this reference. A name ends in the unit of its"
+        " numbers: `_deg_per_sqrt_h` is deg/sqrt(h). Unless noted, all methods read a key. The"
+        f" filters are {', '.join(of_filters.methods)}.",
+        "",
+        f"The keys of {sweepable} may vary: {_VARYING}. A case has the value of the section, or"
+        " the default, of a key that it leaves out. Give other keys once: in their section or a"
+        " table that varies them.",
+    ]
+    for table, model in TABLES.items():
+        keys = [key for key in KEYS.values() if key.section == table]
+        readers = [key.readers_text.replace(of_filters.readers_text, "the filters") for key in keys]
+        usual = max(readers, key=readers.count)
+        read_by = "" if {*readers} == {"all"} else f" Read by {usual}, unless noted."
+        lines += ["", f"## [{table}]", "", section_purpose(model) + read_by, ""]
+        lines += ["| key | default | meaning |", "|---|---|---|"]
+        rows: dict[str, list[Key]] = {}
+        for key, reader in zip(keys, readers, strict=True):
+            note = "" if reader == usual else f" ({reader})"
+            rows.setdefault(key.meaning + note, []).append(key)
+        for meaning, alike in rows.items():
+            names = ", ".join(f"`{key.name}`" for key in alike)
+            defaults = ", ".join(dict.fromkeys(key.default for key in alike))
+            cells = (cell.replace("|", "\\|") for cell in (names, defaults, meaning))
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def section_purpose(model: type[Section]) -> str:
+    """Return the purpose of a section: the first paragraph of its docstring, without its name."""
+    text = " ".join((model.__doc__ or "").strip().partition("\n\n")[0].split())
+    text = text.partition("]: ")[2] or text
+    return text if "(" in text.split()[0] else text[:1].upper() + text[1:]
+
+
+def study_schema() -> TomlTable:
+    """Return the JSON schema of a study file, draft 7. It has no rules between keys."""
+    definitions, tables = dict[str, TomlTable](), dict[str, TomlTable]()
+    for table, model in TABLES.items():
+        properties = model.model_json_schema()["properties"]
+        for name in properties:
+            key = KEYS[table, name]
+            parts = {"unit": key.unit, "default": key.default, "methods": key.readers_text}
+            known = "; ".join(f"{part}: {text}" for part, text in parts.items() if text)
+            definitions[f"{table}.{name}"] = _simplify_schema(properties[name]) | {
+                "description": f"{key.meaning}; {known}"
+            }
+        known_keys = {name: _reference(f"{table}.{name}") for name in properties}
+        tables[table] = _object_of(known_keys, section_purpose(model))
+    swept = {
+        key: tables[name]["properties"][key]
+        for key, name in SECTION_OF.items()
+        if name in SWEEPABLE
+    }
+    tuned = {key: value for key, value in swept.items() if SECTION_OF[key] in TUNABLE}
+    lists = {key: _list_of(value) for key, value in swept.items()}
+    tuned_range, zips = _reference("tune.variables.KEY"), _reference("axes.NAME")
+    ranges = dict.fromkeys(tuned, {"anyOf": [tuned_range, _list_of(tuned_range)]})
+    axes = {key: {"anyOf": [value, zips]} for key, value in lists.items()}
+    definitions |= {
+        "drawn.KEY": tables.pop("drawn.KEY"),
+        "tune.variables.KEY": tables.pop("tune.variables.KEY"),
+        "tune.variables": _object_of(ranges, "ranges of the tuned keys"),
+        "tune.baseline": _object_of(tuned, "values to compare the tuned ones with"),
+        "axes.NAME": _object_of(lists, "keys that are swept together"),
+    }
+    tables["drawn"]["properties"] |= dict.fromkeys(schema.NUMBERS_DRAWN, _reference("drawn.KEY"))
+    tables["axes"] = _object_of(axes, "values over which keys are swept")
+    tables["axes"]["additionalProperties"] = zips
+    tables["cases"] = _list_of(_object_of({"case": {"type": "string"}, **swept}, "one case"))
+    version = "http://json-schema.org/draft-07/schema#"
+    study = _object_of(tables) | {"definitions": definitions}
+    return {"$schema": version, "title": "sinsjax study", **study}
+
+
+def _simplify_schema(value: Any) -> Any:
+    """Return a schema without titles, defaults and null, which TOML does not have."""
+    if isinstance(value, list):
+        return [_simplify_schema(entry) for entry in value if entry != {"type": "null"}]
+    if not isinstance(value, dict):
+        return value
+    hidden = ("title", "default", "discriminator", "info")
+    out = {key: _simplify_schema(entry) for key, entry in value.items() if key not in hidden}
+    for kind in ("anyOf", "oneOf"):
+        if len(out.get(kind, ())) == 1:
+            out |= out.pop(kind)[0]
+    return out
+
+
+def _reference(name: str) -> TomlTable:
+    return {"$ref": f"#/definitions/{name}"}
+
+
+def _list_of(entry: TomlTable) -> TomlTable:
+    return {"type": "array", "items": entry}
+
+
+def _object_of(properties: TomlTable, description: str = "") -> TomlTable:
+    described = {"description": description} if description else {}
+    return {"type": "object", **described, "properties": properties, "additionalProperties": False}
+
+
+if __name__ == "__main__":
+    as_schema = "--schema" in sys.argv
+    text = json.dumps(study_schema(), indent=1, ensure_ascii=False) if as_schema else keys_page()
+    print(text.rstrip())

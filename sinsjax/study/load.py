@@ -2,13 +2,13 @@
 
 A file either gives a `Study` or raises `InputError` with a line for each of its mistakes that the
 first stage with any finds, ``FILE: [section] key: what is wrong (way on)``. The stages are names of
-sections and keys, values, rules (`rules.broken_rules`), and points of [tune]. `sweep` reads the
+sections and keys, values, rules (`rules.STAGES`), and points of [tune]. `sweep` reads the
 tables that vary a study. Values stay in the units of the file.
 """
 
 import difflib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +21,16 @@ from sinsjax.messages import escape_controls, explain_error, format_list_index, 
 from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
-    SECTIONS_OF_METHODS,
     register_external,
-    unread_keys,
 )
 from sinsjax.study import changes as changing
 from sinsjax.study import files, rules, search_space
+from sinsjax.study.defaults import GivenKeys, filled_in, without_defaults
 from sinsjax.study.keys import (
-    EARTH_CONSTANTS,
-    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
     TomlTable,
-    alternative_keys,
     key_summary,
     unknown_key_error,
 )
@@ -59,14 +55,6 @@ __all__ = [
     "with_point",
 ]
 
-_DEFAULT_DRAWS = 64
-_DEPENDENT_DEFAULTS = EARTH_CONSTANTS | {
-    "draws": _DEFAULT_DRAWS,
-    "height_m": 0.0,
-    **{white: 0.0 for white, _ in SECTIONS["sensors"].exclusive},
-}
-"""Defaults that depend on other keys, or on whether the study is recorded."""
-_FEEDBACK_KEY = "feedback_interval_s"
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 """Sections of a sheet, which `sinsjax.advise` reads."""
@@ -176,7 +164,11 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
     """
     try:
         reject_open_questions(data)
-        return _build_checked_study(data, escape_controls(Path(source).stem))
+        _check_methods_usable(data)
+        study = _read_study(data, escape_controls(Path(source).stem))
+        if study.tune and study.study.rate_hz:
+            _check_tuning_points(study)
+        return study
     except InputError as error:
         raise error.with_source(source) from None
     except RecursionError:
@@ -189,14 +181,18 @@ def study_to_tables(study: Study) -> TomlTable:
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
+    content["cases"] = [
+        {key: value for key, value in case.items() if value is not None} for case in study.cases
+    ]
     names = (*SECTIONS, *_SWEEP_TABLES)
     return {name: content[name] for name in names if content.get(name)}
 
 
 def non_default_tables(study: Study) -> TomlTable:
     """Return a study as tables and lists, without the keys that have their defaults."""
-    filled = _DEPENDENT_DEFAULTS | _default_feedback(study.study.rate_hz)
-    tables = changing.copy_tables(changing.remove_defaults(study_to_tables(study), filled))
+    swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
+    varied = dict.fromkeys(study.drawn_keys, ()) | swept
+    tables = changing.copy_tables(without_defaults(study_to_tables(study), varied))
     return {name: table for name, table in tables.items() if table}
 
 
@@ -239,48 +235,41 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-Study.rebuild = staticmethod(replace_values)
-Study.tables = staticmethod(non_default_tables)
+Study.rebuild, Study.tables = staticmethod(replace_values), staticmethod(non_default_tables)
 
 
-def _build_checked_study(data: TomlTable, name: str) -> Study:
-    """Return the study of some tables, points of [tune] checked.
-
-    Raises:
-        InputError: the mistakes of the first stage with any, since later ones need its values.
-    """
-    _check_methods_usable(data)
-    study = _build_study(data, name)
-    if study.tune and study.study.rate_hz:
-        _check_tuning_points(study)
-    return study
-
-
-def _build_study(data: TomlTable, name: str) -> Study:
-    """Return the study of some tables with all rules checked, but not the points of [tune]."""
+def _read_study(data: TomlTable, name: str) -> Study:
+    """Return the study of some tables: names, sweep, defaults, values, rules."""
     tables = without_gone_settings(_lists_to_tuples(data))
     _check_tables(tables)
     _register_external(tables)
-    errors, sweep = ErrorCollector(), Sweep({}, {}, (), None)
+    errors, sweep = ErrorCollector(), Sweep()
     with errors.collect():
         sweep = read_sweep(tables)
-    key_tables = {key: f"[{name}]" for name in SECTIONS for key in tables.get(name, ())}
-    key_tables |= sweep.key_tables
+    given = {  # the cases have the others
+        section: {key: value for key, value in table.items() if key not in sweep.inherited}
+        for section, table in tables.items()
+        if section in SECTIONS
+    }
     with errors.collect():
-        _check_alternatives(key_tables)
-    sections = _fill_defaults(tables, sweep, key_tables, name)
+        _check_alternatives(
+            {key: f"[{section}]" for section, keys in given.items() for key in keys}
+            | sweep.table_of
+        )
+    defaults = filled_in(GivenKeys(given, sweep.values))
+    sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
+    sections["study"].setdefault("name", name)
     if "tune" in sections:
-        given = sections["tune"]
-        sections["tune"] = given | {"variables": {}, "baseline": {}}  # in case these are wrong
+        tune, recorded = sections["tune"], "record" in tables
+        sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
         with errors.collect():
-            sections["tune"] = read_tune_section(
-                given, sweep.key_tables, recorded="record" in tables
-            )
+            sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
     with errors.collect():
-        study = _validate_sections(sections)
+        study = _validate_sections(sections | sweep.for_study)
     errors.raise_all()
-    if lines := rules.broken_rules(study, key_tables):
-        raise InputError(*lines)
+    for section, values in defaults.items():  # which the file does not give
+        getattr(study, section).model_fields_set.difference_update(values)
+    rules.check_rules(study)
     return study
 
 
@@ -302,7 +291,7 @@ def _check_tuning_points(study: Study) -> None:
 
     def build_point(place: str, point: TomlTable) -> Study:
         try:
-            return _build_study(search_space.insert_point(tables, point), study.name)
+            return _read_study(search_space.insert_point(tables, point), study.name)
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
@@ -314,22 +303,16 @@ def _check_tuning_points(study: Study) -> None:
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_methods_usable(data: Any) -> None:
-    """Refuse a study with a method that cannot be used, whose sections and keys are unknown."""
-    for name in sorted({*_iter_method_names(data)} & (BROKEN.keys() - METHODS.keys())):
-        raise InputError(f"[alignment] method: {name!r} cannot be used: {BROKEN[name]}")
-
-
-def _iter_method_names(data: Any, key: str = "") -> Iterator[str]:
-    """Yield all words under keys called ``method``, of sections, axes and cases."""
+def _check_methods_usable(data: Any, key: str = "") -> None:
+    """Refuse a word under a key ``method`` that names a method that cannot be used."""
     if isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _iter_method_names(value, name)
+            _check_methods_usable(value, name)
     elif isinstance(data, list | tuple):
         for value in data:
-            yield from _iter_method_names(value, key)
-    elif key == "method" and isinstance(data, str):
-        yield data
+            _check_methods_usable(value, key)
+    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
+        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
 
 
 def _lists_to_tuples(value: Any) -> Any:
@@ -390,75 +373,17 @@ def _unknown_key_text(key: str, section: str) -> str:
     return text
 
 
-def _check_alternatives(key_tables: rules.KeyTables) -> None:
-    """Refuse two keys that are alternatives."""
-    lines: list[str] = []
-    reported: set[str] = set()
+def _check_alternatives(table_of: Mapping[str, str]) -> None:
+    """Refuse two keys that are alternatives; each case may have another one."""
+    errors, reported = ErrorCollector(), set[str]()
     for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        if first in key_tables and second in key_tables and reported.isdisjoint((first, second)):
-            text = f"conflicts with {second} in {key_tables[second]} (give one of them)"
-            lines.append(f"{key_tables[first]} {first}: {text}")
-            reported |= {first, second}
-    if lines:
-        raise InputError(*lines)
-
-
-def _fill_defaults(
-    tables: TomlTable, sweep: Sweep, key_tables: rules.KeyTables, name: str
-) -> TomlTable:
-    """Return the sections that apply, with the defaults that depend on other keys."""
-    recorded = "record" in tables
-    unused: tuple[str, ...] = SIMULATED_ONLY if recorded else ("record",)
-    unread = unread_keys(_values_over_variants("method", tables, sweep) & METHODS.keys())
-    given = {SECTION_OF.get(key) for key in key_tables}
-    idle = {
-        name
-        for name, section in SECTIONS_OF_METHODS.items()
-        if unread.issuperset(section.model_fields)
-    }
-    optional = {"passes", "stop_when", "tune"} | (set() if recorded else {"coarse"})
-    unused += tuple(optional - given - tables.keys())
-    unused += tuple(idle - given)
-    for section in idle & given:  # complete, as if another variant read it
-        unread -= {*SECTIONS[section].model_fields, _FEEDBACK_KEY}
-    sections = {key: dict(tables.get(key, {})) for key in SECTIONS if key not in unused}
-    sections["study"].setdefault("name", name)
-    if not recorded:
-        sections["study"].setdefault("draws", _DEFAULT_DRAWS)
-        sections["earth"].setdefault("height_m", 0.0)
-        for white, density in SECTIONS["sensors"].exclusive:
-            if white not in key_tables and density not in key_tables:
-                sections["sensors"][white] = 0.0
-    for section, values in sections.items():
-        for key in SECTIONS[section].model_fields.keys() - unread:
-            key_info = KEYS[section, key].info
-            if key_info.default is None or not key_tables.keys().isdisjoint(alternative_keys(key)):
-                continue
-            if key_info.beside is None or (
-                key not in key_tables
-                and _values_over_variants(key_info.beside, tables, sweep) - {None, "none"}
-            ):
-                values.setdefault(key, key_info.default)
-    if _FEEDBACK_KEY not in key_tables and _FEEDBACK_KEY not in unread:
-        sections["alignment"] |= _default_feedback(sections["study"].get("rate_hz"))
-    if "constants" in _values_over_variants("earth", tables, sweep):
-        sections["earth"] = EARTH_CONSTANTS | sections["earth"]
-    return sections | sweep._asdict()
-
-
-def _default_feedback(rate_hz: Any) -> TomlTable:
-    """Return the default of ``feedback_interval_s``; empty until a valid rate is known."""
-    known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
-    return {_FEEDBACK_KEY: 1 / rate_hz} if known else {}
-
-
-def _values_over_variants(key: str, tables: TomlTable, sweep: Sweep) -> set[Any]:
-    """Return the values of a key over the variants, or the default of its section."""
-    section = SECTION_OF[key]
-    default = SECTIONS[section].model_fields[key].default
-    given = tables.get(section, {}).get(key, default)
-    # Values that are not text are refused when all values are checked.
-    return sweep.values(key) or {given if isinstance(given, str) else default}
+        tables = {table_of.get(first), table_of.get(second)}
+        if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
+            continue
+        text = f"conflicts with {second} in {table_of[second]} (give one of them)"
+        errors.add(f"{table_of[first]} {first}: {text}")
+        reported |= {first, second}
+    errors.raise_all()
 
 
 def _validate_sections(sections: TomlTable) -> Study:

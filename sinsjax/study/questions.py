@@ -1,10 +1,10 @@
 """Open questions of a study: keys with "?" in place of a value, as `init record` writes them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sinsjax.errors import InputError
+from sinsjax.errors import ErrorCollector
 from sinsjax.study.files import OPEN, QUESTION, find_study_file
 
 
@@ -18,22 +18,15 @@ def reject_open_questions(tables: Mapping[str, Any], path: str | Path | None = N
     Raises:
         InputError: a line for each open question, with its evidence and the way to answer it.
     """
-    places = list(_open_places(tables))
-    if not places:
-        return
-    evidence = {} if path is None else _read_evidence(path)
-    lines = []
+    sections = {name: table for name, table in tables.items() if isinstance(table, Mapping)}
+    places = [(name, k) for name, table in sections.items() for k, v in table.items() if v == OPEN]
+    evidence = _read_evidence(path) if places and path is not None else {}
+    errors = ErrorCollector()
     for section, key in places:
         text = evidence.get(key, "it has no value")
         way = f"answer it there, or by --set {section}.{key}=VALUE"
-        lines.append(f"[{section}] {key}: an open question: {text} ({way})")
-    raise InputError(*lines)
-
-
-def _open_places(tables: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for section, table in tables.items():
-        if isinstance(table, Mapping):
-            yield from ((section, key) for key, value in table.items() if value == OPEN)
+        errors.add(f"[{section}] {key}: an open question: {text} ({way})")
+    errors.raise_all()
 
 
 def _read_evidence(path: str | Path) -> dict[str, str]:
@@ -45,8 +38,7 @@ def _read_evidence(path: str | Path) -> dict[str, str]:
         elif line.startswith("#") and comment:
             comment.append(line.lstrip("# "))
         else:
-            key, equals, _ = line.partition("=")
-            if comment and equals:
-                evidence[key.strip()] = " ".join(comment)
+            if comment and "=" in line:
+                evidence[line.partition("=")[0].strip()] = " ".join(comment)
             comment = []
     return evidence

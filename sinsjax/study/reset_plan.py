@@ -1,14 +1,13 @@
-"""What the law of resets says of a study: the times, their prediction, and when to distrust it."""
+"""The resets of a study's filters by the law, and the settling times that it predicts."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
 
 from sinsjax.errors import InputError
-from sinsjax.methods import reset_law
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
@@ -26,16 +25,13 @@ from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
 _NOISY = 1.1  # settling times that noise delays by less are one
-_NOISE_SIGMAS, _LATE_SIGMAS = 1.15, 2.0
-"""1 sigma of white noise that narrow the band if noise alone decides: for the median and nine runs
-of ten. Gyro noise leaves a heading error W(T)/T, a Brownian motion in 1/T, so the run settles where
-that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep` without q_: 178 and 226 s,
-measured 172 and 238 s.
+_SIGMAS = (MEDIAN_SIGMAS, 1.15, 2.0)
+"""1 sigma of white noise that narrow the band: for the median, and if noise alone decides, for the
+median and nine runs of ten. Gyro noise leaves a heading error W(T)/T, a Brownian motion in 1/T, so
+the run settles where that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep`: 178 and
+226 s, measured 172 and 238 s.
 """
 _TILT = 5 * (1 + 1j) * DEG  # of the start
-_LARGE_BOUND, _LARGE_LEVEL = 165 * DEG, 30 * DEG
-_SLOW_FEEDBACK_S = 20.0
-_MAX_PLANS = 15
 _DRIFTS = (
     *("gyro_instability_deg_per_h", "accel_instability_ug"),
     *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
@@ -60,7 +56,6 @@ class ResetPlan(NamedTuple):
         late_s: settling time with two sigma of noise, of some 90 % of such runs.
         without_s: settling time without resets.
         left_out: keys of sensor errors that delay settling and are not predicted.
-        warnings: where the law is known to fail.
 
     Examples:
         >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60.0)
@@ -79,7 +74,6 @@ class ResetPlan(NamedTuple):
     late_s: float
     without_s: float
     left_out: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -99,19 +93,20 @@ class ResetPlan(NamedTuple):
     @property
     def facts(self) -> dict[str, str]:
         """The plan in words, by heading."""
+        drifts = f", more with {' and '.join(self.left_out)}" if self.left_out else ""
+        velocity = self.settings["reset_velocity_m_per_s"]
         return {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
-            "set": _describe_settings([self]),
+            "set": f'schedule = "law", or these times with reset_velocity_m_per_s = {velocity:.4g}',
             "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
             f" {self.median} (median run, predicted),"
-            f" {_format_time(self.late_s)} with {_LATE_SIGMAS:g} sigma of noise",
+            f" {_format_time(self.late_s)} with {_SIGMAS[-1]:g} sigma of noise{drifts}",
             "without": _format_time(self.without_s),
         }
 
     def __repr__(self) -> str:
-        """Return the plan in lines, with its warnings."""
-        warnings = {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
-        return display.format_text("Reset schedule by the law", self.facts | warnings)
+        """Return the plan in lines."""
+        return display.format_text("Reset schedule by the law", self.facts)
 
 
 def reset_schedule(study: Study | str, **bounds: float) -> ResetPlan:
@@ -154,24 +149,14 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
         bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
         law = Lane(reset_problem(rate_hz, point), found.times_s, bound, _TILT)
         run_s = max(study.run_s, 3 * found.settling_s)
-        noise = MEDIAN_SIGMAS, _NOISE_SIGMAS, _LATE_SIGMAS
-        runs += [(law, run_s, band, sigmas) for sigmas in noise]
+        runs += [(law, run_s, band, sigmas) for sigmas in _SIGMAS]
         runs.append((law._replace(times_s=()), run_s, band, MEDIAN_SIGMAS))
     settling = predict_settling_times(*zip(*runs, strict=True)).reshape(-1, 4).tolist()
     for (varying, point), (law, *_), times_s in zip(filters, runs[::4], settling, strict=True):
-        by_law, noisy_s, late_s, without_s = times_s
-        plan = ResetPlan(
-            law.problem,
-            point["heading_bound_deg"],
-            point["settle_band_arcmin"],
-            law.times_s,
-            settling_s=by_law,
-            noisy_s=noisy_s,
-            late_s=late_s,
-            without_s=without_s,
-            left_out=left_out,
-        )
-        yield varying, plan._replace(warnings=tuple(_warnings(plan)))
+        by_law, noisy, late, without = times_s
+        bound, band = point["heading_bound_deg"], point["settle_band_arcmin"]
+        plan = ResetPlan(law.problem, bound, band, law.times_s, by_law, noisy, late, without)
+        yield varying, plan._replace(left_out=left_out)
 
 
 def iter_filters(
@@ -185,10 +170,10 @@ def iter_filters(
     keys = [key for key in LAW_KEYS if study.is_readable(key) and key not in (*bounds, "schedule")]
     points = [p for p in study.given_combinations(*keys) if p["method"] in LAW_METHODS]
     if not points:
-        text = (
-            f"the law of resets holds for {', '.join(LAW_METHODS)}, not {', '.join(study.methods)}"
+        text = f"the law of resets holds for {', '.join(LAW_METHODS)}"
+        raise InputError(
+            f"{study.name}: [alignment] method: {text}, not {', '.join(study.methods)}"
         )
-        raise InputError(f"{study.name}: [alignment] method: {text}")
     varying = [key for key in keys if len({point[key] for point in points}) > 1]
     defaults = {"heading_bound_deg": 150.0, "settle_band_arcmin": 10.0, "schedule": "law"}
     for point in points:
@@ -204,79 +189,31 @@ def describe_plans(study: Study) -> list[str]:
     """
     plans = list(iter_plans(study))
     if len(plans) == 1:
-        _, plan = plans[0]
-        width = max(map(len, plan.facts))
-        lines = [f"{study.name}: {_describe_filter(plan)}"]
-        lines += [f"  {heading:<{width}}  {text}" for heading, text in plan.facts.items()]
-        return [*lines, *(f"Warning: {text}." for text in plan.warnings)]
+        facts = plans[0][1].facts
+        return [f"{study.name}:", *(f"  {name:<7}  {text}" for name, text in facts.items())]
     lines = [f"{study.name}: {len(plans)} filters or places; resets, and settling of a median run:"]
-    for point, plan in plans[:_MAX_PLANS]:
-        what = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
-        times = ", ".join(f"{time:g}" for time in plan.times_s)
+    for point, plan in plans:
+        name = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
         without = _format_time(plan.without_s)
-        lines.append(f"  {what}: {times} s; {plan.median} (without: {without})")
-    if left := len(plans) - _MAX_PLANS:
-        lines += [f"  and {left} more"] if left > 0 else []
-    lines.append(f"  set: {_describe_settings([plan for _, plan in plans])}")
-    warnings = dict.fromkeys(text for _, plan in plans for text in plan.warnings)
-    return [*lines, *(f"Warning, of some: {text}." for text in warnings)]
+        lines.append(f"  {name}: {plan.facts['resets']}; {plan.median} (without: {without})")
+    return lines
 
 
 def with_law(study: Study) -> str:
-    """Return a study with its resets by the law, as TOML without defaults.
-
-    A comment names the key that listed times need too.
-    """
-    given = {key for key in (*SCHEDULE_KEYS, "reset_trigger") if study.is_readable(key)}
+    """Return a study with its resets by the law, as TOML without defaults."""
+    given = {*SCHEDULE_KEYS, "reset_trigger"}
     tables = {name: dict(table) for name, table in study.to_dict().items() if name != "cases"}
     for name in ("resets", "axes"):
         table = tables.get(name, {})
         tables[name] = {key: value for key, value in table.items() if key not in given}
     tables["resets"] |= {"schedule": "law"}
-    velocities = _format_velocities(
-        reset_problem(study.rate_hz or 100.0, point).velocity for _, point in iter_filters(study)
-    )
-    comment = (
-        '# Resets by the law: schedule = "law" also opens P of velocity at each reset. Listed times'
-        f"\n# need it too: reset_velocity_m_per_s = {velocities}\n\n"
-    )
-    return comment + tomli_w.dumps({name: table for name, table in tables.items() if table})
-
-
-def _describe_settings(plans: Sequence[ResetPlan]) -> str:
-    """Return how to set the resets of some plans."""
-    velocities = _format_velocities(plan.problem.velocity for plan in plans)
-    return f'schedule = "law", or these times with reset_velocity_m_per_s = {velocities}'
-
-
-def _format_velocities(velocities: Iterable[float]) -> str:
-    return " or ".join(f"{velocity:.4g}" for velocity in sorted({*velocities}))
+    return tomli_w.dumps({name: table for name, table in tables.items() if table})
 
 
 def _has_drift(study: Study, key: str) -> bool:
     if key in study.drawn_keys:
         return True
     return study.is_readable(key) and any(np.any(value or 0.0) for value in study.values(key))
-
-
-def _describe_filter(plan: ResetPlan) -> str:
-    force = "measured force" if plan.problem.is_force_measured else "the force of gravity"
-    return f"kalman5 with {force} in A(t), feedback every {plan.problem.feedback_s:g} s"
-
-
-def _warnings(plan: ResetPlan) -> Iterator[str]:
-    """Yield where the law is known to fail."""
-    problem, bound = plan.problem, plan.heading_bound_deg * DEG
-    if plan.left_out:
-        yield f"{' and '.join(plan.left_out)}, which the prediction leaves out, delay settling"
-    if problem.feedback_s >= _SLOW_FEEDBACK_S:
-        yield f"feedback every {problem.feedback_s:g} s decides: some runs may never settle"
-    elif problem.feedback_s > reset_law.levelling_time(problem):
-        yield f"feedback every {problem.feedback_s:g} s is slower than levelling: its lag is fitted"
-    if bound > _LARGE_BOUND:
-        yield "near 180 deg a heading error stands still: an unstable equilibrium"
-    if problem.level > _LARGE_LEVEL:
-        yield "P0 of level above 30 deg is beyond the cells that were measured"
 
 
 def _format_time(time_s: float) -> str:

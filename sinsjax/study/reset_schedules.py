@@ -1,13 +1,8 @@
-"""Reset schedules that a study names: none, by the law, or by a trigger.
-
-``[resets] schedule`` decides, variant by variant, what the keys of scheduled and triggered resets
-are. By the law, times follow from the variant's own Q, R, P0, latitude, feedback, sensors and
-surge.
-"""
+"""Reset schedules that a study names, variant by variant: none, by the law, or by a trigger."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
@@ -33,6 +28,9 @@ LAW_METHODS = ("kalman5",)
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
 _NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
+NOISE_KEYS = (*_EARTH, *_NOISE)
+"""Keys that `noise_heading_sigma` follows from."""
+
 _FILTER = (
     *(*ACCEL_NOISE.forms, *GYRO_NOISE.forms),
     *("q_reading", "q_scale", *keys_of(update_variance)),
@@ -41,7 +39,7 @@ _FILTER = (
 )
 _LOOP = ("method", "specific_force", "feedback_interval_s")
 _BOUNDS = ("schedule", "heading_bound_deg", "settle_band_arcmin")
-LAW_KEYS = (*_EARTH, *_NOISE, *_FILTER, *_LOOP, *_BOUNDS)
+LAW_KEYS = (*NOISE_KEYS, *_FILTER, *_LOOP, *_BOUNDS)
 """Keys that the times of the law follow from."""
 
 _ONE_VALUE = {"latitude_deg": "earth"} | dict.fromkeys(
@@ -69,16 +67,6 @@ _VELOCITY = "reset_velocity_m_per_s"
 DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
 
-_NO_TIMES = dict.fromkeys(SCHEDULE_KEYS)
-
-
-class Place(NamedTuple):
-    """Gravity, m/s^2, and Earth rate, rad/s, at a latitude, rad."""
-
-    gravity: float
-    rate: float
-    latitude: float
-
 
 def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `DERIVED` at a point of a study.
@@ -90,23 +78,20 @@ def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: the law has no schedule there; the line begins ``[section] key``.
     """
-    given = {key: point[key] for key in DERIVED}
-    no_trigger = given | {"reset_trigger": "none" if given["reset_trigger"] else None}
-    match point["schedule"]:
-        case "none":
-            return no_trigger | _NO_TIMES
-        case "law":
-            found = schedule_by_law(rate_hz, point)
-            times = () if found is None else found.times_s
-            opened = {"reset_times_s": times or None, _VELOCITY: _reset_velocity(point)}
-            return no_trigger | _NO_TIMES | opened
-        case "trigger":
-            names = (None, "none")
-            default = _DEFAULT_TRIGGER if given["reset_trigger"] in names else {}
-            missing = {key: value for key, value in default.items() if given[key] in names}
-            return given | _NO_TIMES | missing
-        case _:
-            return given
+    given, schedule = {key: point[key] for key in DERIVED}, point["schedule"]
+    if schedule not in ("none", "law", "trigger"):
+        return given
+    values = given | dict.fromkeys(SCHEDULE_KEYS)
+    if schedule == "trigger":
+        is_default = given["reset_trigger"] in (None, "none")
+        default = _DEFAULT_TRIGGER if is_default else {}
+        return values | {key: default[key] for key in default if given[key] in (None, "none")}
+    values["reset_trigger"] = "none" if given["reset_trigger"] else None
+    if schedule == "law":
+        found = schedule_by_law(rate_hz, point)
+        times = None if found is None else found.times_s or None
+        values |= {"reset_times_s": times, _VELOCITY: _reset_velocity(point)}
+    return values
 
 
 def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule | None:
@@ -149,26 +134,25 @@ def predict_settling(
         run_s: duration of the runs, s.
         points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
     """
-    found: list[float | None] = [None] * len(points)
-    by_band: dict[float, dict[int, Lane]] = {}
-    for number, point in enumerate(points):
-        if (lane := _lane(rate_hz, point)) is not None:
-            by_band.setdefault(point["settle_band_arcmin"], {})[number] = lane
-    for band_arcmin, lanes in by_band.items():
-        times = predict_settling_times([*lanes.values()], run_s, band_arcmin * ARCMIN)
-        for number, time_s in zip(lanes, times.tolist(), strict=True):
-            found[number] = time_s if math.isfinite(time_s) else None
-    return found
+    lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
+    if not lanes:
+        return [None] * len(points)
+    bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
+    times = predict_settling_times([*lanes.values()], run_s, bands).tolist()
+    settled = {n: time_s for n, time_s in zip(lanes, times, strict=True) if math.isfinite(time_s)}
+    return [settled.get(number) for number in range(len(points))]
 
 
 def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     start = [point[key] for key in START_KEYS]
     is_triggered = point["reset_trigger"] not in (None, "none")
-    is_foreseen = point["method"] in LAW_METHODS and not is_triggered and None not in start
-    if not is_foreseen or any(point[key] is None for key in _ONE_VALUE):
+    is_full = point["reset_kind"] in (None, "full")
+    if point["method"] not in LAW_METHODS or is_triggered or not is_full:
+        return None
+    if None in start or any(point[key] is None for key in _ONE_VALUE):
         return None
     problem = reset_problem(rate_hz, point)
-    if problem.velocity_noise <= 0 or point["reset_kind"] not in (None, "full"):
+    if problem.velocity_noise <= 0:
         return None
     east, north, heading = (angle * DEG for angle in start)
     times = scheduled_reset_times(*(point[key] for key in SCHEDULE_KEYS))
@@ -183,11 +167,25 @@ def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
     """
     if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
         return
-    problem = reset_problem(rate_hz, point)._replace(surge=0.0)
-    sigma_arcmin = reset_law.heading_sigma(run_s, problem) / ARCMIN
+    _require_values(point)
+    sigma_arcmin = noise_heading_sigma(rate_hz, run_s, point) / ARCMIN
     if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
         text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
         raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
+
+
+def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
+    """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
+
+    Args:
+        rate_hz: samples per second.
+        time_s: length of the data, s.
+        point: values of `NOISE_KEYS`.
+    """
+    place = _read_place(point)
+    accel = _white_noise(rate_hz, point, ACCEL_NOISE, place.ug)
+    gyro = _white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H)
+    return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
 def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
@@ -196,28 +194,30 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     Raises:
         InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
     """
-    for key, section in _ONE_VALUE.items():
-        if point[key] is None:
-            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
+    _require_values(point)
     place = _read_place(point)
-    ug = micro_g(place.gravity) if point["earth"] == "constants" else micro_g()
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
-    density = partial(_sensor_density, rate_hz, point)
     return ResetProblem(
-        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, ug),
+        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, place.ug),
         measurement_noise=r / rate_hz,
         velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
         heading=(point["reset_yaw_deg"] or point["p0_yaw_deg"]) * DEG,
-        north_rate=place.rate * math.cos(place.latitude),
+        north_rate=place.north_rate,
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=(density(ACCEL_NOISE) * ug) ** 2,
-        gyro_noise=(density(GYRO_NOISE) * DEG_PER_H) ** 2,
+        accel_noise=_white_noise(rate_hz, point, ACCEL_NOISE, place.ug),
+        gyro_noise=_white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
+
+
+def _require_values(point: Mapping[str, Any]) -> None:
+    for key, section in _ONE_VALUE.items():
+        if point[key] is None:
+            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
 
 
 def _reset_velocity(point: Mapping[str, Any]) -> float:
@@ -228,13 +228,23 @@ def _reset_velocity(point: Mapping[str, Any]) -> float:
     return given or initial
 
 
+class Place(NamedTuple):
+    """Gravity, m/s^2, and horizontal Earth rate, rad/s, of a place; and a ug there, m/s^2."""
+
+    gravity: float
+    north_rate: float
+    ug: float
+
+
 def _read_place(point: Mapping[str, Any]) -> Place:
     latitude = point["latitude_deg"] * DEG
     if point["earth"] == "constants":
-        rate = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H
-        return Place(point["gravity_m_per_s2"] or 9.8, rate, latitude)
-    normal = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)  # to 1e-5, far within the law's
-    return Place(normal, 7.292115e-5, latitude)
+        gravity = point["gravity_m_per_s2"] or 9.8
+        rate, ug = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H, micro_g(gravity)
+    else:  # normal gravity to 1e-5, far within the law's
+        gravity = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)
+        rate, ug = 7.292115e-5, micro_g()
+    return Place(gravity, rate * math.cos(latitude), ug)
 
 
 def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float) -> float:
@@ -245,10 +255,12 @@ def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, un
             per_step = (point[form] * factor * unit) ** 2
             per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
             return float(per_step * rate_hz * scale)
-    return float((_sensor_density(rate_hz, point, noise) * unit) ** 2 * scale)
+    return float(_white_noise(rate_hz, point, noise, unit) * scale)
 
 
-def _sensor_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise) -> float:
-    """Return the density of the sensors' white noise, 0 for none, in the unit of a key of Q."""
+def _white_noise(
+    rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float
+) -> float:
+    """Return the density of the sensors' white noise, 0 for none; SI."""
     values = (point[key] for key in keys_of(noise.density))
-    return float(noise.density(rate_hz, *values) or 0.0)
+    return float((noise.density(rate_hz, *values) or 0.0) * unit) ** 2

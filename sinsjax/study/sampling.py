@@ -34,33 +34,23 @@ def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.nd
         return {}
     laws, seed = study.drawn.laws, study.seed
     continuous = [key for key, law in laws.items() if law.uniform or law.normal]
-    points = (_sobol_points if study.drawn.sampling == "sobol" else _random_points)(
-        continuous, seed, first, count
-    )
-    draws = np.arange(first, first + count)
-    entries = _listed_values(laws, draws)
-    drawn = {
-        key: entries[key] if key in entries else _apply_distribution(law, points[key])
-        for key, law in laws.items()
-    }
-    return {key: rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0] for key, rows in drawn.items()}
+    make_points = _sobol_points if study.drawn.sampling == "sobol" else _random_points
+    points = make_points(continuous, seed, first, count)
+    drawn = _listed_values(laws, np.arange(first, first + count))
+    drawn |= {key: _apply_distribution(laws[key], points[key]) for key in continuous}
+    return {key: drawn[key] if NUMBERS_DRAWN[key] > 1 else drawn[key][:, 0] for key in laws}
 
 
 def truncate_drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
     """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
 
-    Args:
-        drawn: section of the study.
-        count: number of draws; lists are truncated to the entries that are drawn.
+    Lists are truncated to the entries that are drawn.
     """
     table = drawn.model_dump(exclude_none=True)
     grids = {key: law.grid for key, law in drawn.laws.items() if law.grid}
     if math.prod(map(len, grids.values())) > count:
-        points = list(islice(product(*grids.values()), count))
-        table |= {
-            key: {"values": column}
-            for key, column in zip(grids, zip(*points, strict=True), strict=True)
-        }
+        columns = zip(*islice(product(*grids.values()), count), strict=True)
+        table |= {key: {"values": column} for key, column in zip(grids, columns, strict=True)}
     for key, law in drawn.laws.items():
         if law.values:
             table[key] = {"values": law.values[:count]}
@@ -117,9 +107,8 @@ def _listed_values(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str
     for key, law in laws.items():
         if not (entries := law.values or law.grid):
             continue
-        rows = np.stack(
-            [np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in entries]
-        )
+        numbers = NUMBERS_DRAWN[key]
+        rows = np.stack([np.broadcast_to(np.asarray(v, float), numbers) for v in entries])
         steps = 1
         if law.grid:
             fastest //= len(rows)

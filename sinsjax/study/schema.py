@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, cast, get_args, get_origin
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from sinsjax import value_types as vt
 from sinsjax.messages import shorten
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -20,42 +21,12 @@ from sinsjax.records.layout import (
     parse_axes_order,
 )
 from sinsjax.value_types import (
-    AccelNoise,
-    Amplitude,
-    Angle,
-    AngleSigma,
-    Band,
-    Bands,
-    Bandwidth,
-    Columns,
-    Count,
-    CrossAxis,
-    Damping,
     Effect,
-    Elevation,
-    EventTimes,
-    Factor,
-    Finite,
-    GyroNoise,
-    HalfTurn,
-    IncreasingPair,
     KeyCondition,
-    KeyInfo,
-    Name,
-    NoisePerAxis,
-    NonNegative,
-    Normal,
-    Numbers,
-    Period,
-    Positive,
-    ReportTimes,
-    Seconds,
-    SecondsOrZero,
     Section,
-    Starts,
-    Triad,
-    Vector,
+    field,
     key_info,
+    otherwise,
     require_unique,
     rule_error,
 )
@@ -64,89 +35,77 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: Name = Field(description="name in reports and manifests; default: the file's stem")
-    duration_s: Seconds = Field(
-        description="length of each run, s. Includes passes and coarse alignment, unless that hands"
-        " over a record"
+    name: vt.Name = field("name in reports and manifests", ..., otherwise="the file's stem")
+    duration_s: vt.Seconds = field(
+        "length of each run. Includes passes and coarse alignment, unless that hands over a record",
+        ...,
     )
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: Annotated[Positive, KeyInfo(usual_range=(1e-3, 1e6))] = Field(
+    rate_hz: vt.Positive = field(
+        "sensor sample rate. Required in a simulation and without time stamps; must match a"
+        " record's rate",
         cast(float, None),
-        description="sensor sample rate, Hz. Required in a simulation and without time stamps; must"
-        " match a record's rate",
+        usual_range=(1e-3, 1e6),
     )
-    record_interval_s: Seconds = Field(
-        1.0,
-        description="interval of the record times for settling times, statistics and curves, s",
+    record_interval_s: vt.Seconds = field(
+        "interval of the record times for settling times, statistics and curves", 1.0
     )
-    draws: Annotated[Count, Field(ge=1)] | None = Field(
-        None,
-        description="Monte Carlo draws; the maximum with [stop_when]. A record has one per start"
-        " time; default: 64 in a simulation",
+    draws: Annotated[vt.Count, Field(ge=1)] | None = field(
+        "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
+        in_simulation=64,
     )
-    estimate: Literal["draws"] = Field(
-        "draws", description="how errors are found: 'draws', Monte Carlo"
+    estimate: Literal["draws"] = field("how errors are found: 'draws', Monte Carlo", "draws")
+    seed: int = field("random seed", 1, ge=0, lt=2**63)
+    settle_bands_arcmin: vt.Bands = field(
+        "half-widths of the heading bands for settling times", (60.0, 10.0, 3.0)
     )
-    seed: int = Field(1, ge=0, lt=2**63, description="random seed")
-    settle_bands_arcmin: Bands = Field(
-        (60.0, 10.0, 3.0),
-        description="half-widths of the heading bands for settling times, arcmin",
-    )
-    window_s: Annotated[tuple[NonNegative, Positive], KeyInfo(usual_range=(0, 1e8))] = Field(
-        # A pydantic below 2.14 calls it even if the duration is missing or wrong.
+    window_s: tuple[vt.NonNegative, vt.Positive] = field(
+        "start and end of the window for error means and deviations",
+        otherwise="the last third of the duration",
         default_factory=lambda given: (
             given.get("duration_s", 1.0) / 1.5,
             given.get("duration_s", 1.0),
         ),
-        description="start and end of the window for error means and deviations, s; default: the"
-        " last third of the duration",
+        usual_range=(0, 1e8),
     )
-    consistency_after_s: SecondsOrZero = Field(
-        10.0,
-        description="time after which p_above_error_share and p_above_floor_error_share count, s",
+    consistency_after_s: vt.SecondsOrZero = field(
+        "time after which p_above_error_share and p_above_floor_error_share count", 10.0
     )
-    steady_after_s: SecondsOrZero = Field(
-        300.0, description="time after which p_above_error_steady_share counts, s"
+    steady_after_s: vt.SecondsOrZero = field(
+        "time after which p_above_error_steady_share counts", 300.0
     )
-    curves: bool = Field(
-        False, description="whether a sweep stores errors at record times in `curves/`"
+    curves: bool = field("whether a sweep stores errors at record times in `curves/`", False)
+    judged_from: Literal["truth", "floor"] | None = field(
+        "reference for success. 'truth': true north, or the record's reference. 'floor': the bias"
+        " floor",
+        otherwise="'truth'",
     )
-    judged_from: Literal["truth", "floor"] | None = Field(
-        None,
-        description="reference for success. 'truth': true north, or the record's reference."
-        " 'floor': the bias floor; default: 'truth'",
+    success_band_arcmin: vt.Band | None = field(
+        "largest final heading error of a successful run", otherwise=10.0
     )
-    success_band_arcmin: Band | None = Field(
-        None,
-        description="largest final heading error of a successful run, arcmin; default: 10",
+    level_band_arcmin: vt.Band | None = field(
+        "largest final level error of a successful run, from truth plus the tilt due to"
+        " accelerometer biases",
+        otherwise=10.0,
     )
-    level_band_arcmin: Band | None = Field(
-        None,
-        description="largest final level error of a successful run, from truth plus the tilt due to"
-        " accelerometer biases, arcmin; default: 10",
+    dwell_s: vt.SecondsOrZero | None = field(
+        "uninterrupted final time in the heading band that success requires",
+        otherwise="the smaller of 30 s and a tenth of the run",
     )
-    dwell_s: SecondsOrZero | None = Field(
-        None,
-        description="uninterrupted final time in the heading band that success requires, s;"
-        " default: the smaller of 30 s and a tenth of the run",
+    diverged_deg: vt.AngleSigma | None = field(
+        "final heading error from the bias floor (truth without one) above which an unsuccessful"
+        " run diverged",
+        otherwise=10.0,
     )
-    diverged_deg: AngleSigma | None = Field(
-        None,
-        description="final heading error from the bias floor (truth without one) above which an"
-        " unsuccessful run diverged, deg; default: 10",
+    report_times_s: vt.ReportTimes | None = field(
+        "times of heading error, sigma and NEES in the summary, from the first sample",
+        otherwise="none",
     )
-    report_times_s: ReportTimes | None = Field(
-        None,
-        description="times of heading error, sigma and NEES in the summary, from the first sample,"
-        " s; default: none",
+    unchecked: bool | None = field(
+        "whether to accept values outside their usual ranges", otherwise="false"
     )
-    unchecked: bool | None = Field(
-        None, description="whether to accept values outside their usual ranges; default: false"
-    )
-    external: Annotated[tuple[Name, ...], AfterValidator(require_unique)] | None = Field(
-        None,
-        description="programs whose results `sinsjax score` stored in the study's directory;"
-        " default: none",
+    external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = field(
+        "programs whose results `sinsjax score` stored in the study's directory", otherwise="none"
     )
 
     @model_validator(mode="after")
@@ -172,30 +131,32 @@ class EarthSection(Section):
         ),
     )
 
-    earth: Literal["constants", "wgs84"] = Field(
+    earth: Literal["constants", "wgs84"] = field(
+        "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
+        " ellipsoid with normal gravity",
         "constants",
-        description="'constants': sphere with constant gravity, the next three keys, valid only"
-        " here. 'wgs84': ellipsoid with normal gravity",
     )
-    gravity_m_per_s2: Annotated[Positive, KeyInfo(usual_range=(9, 10.5))] | None = Field(
-        None, description="gravity, m/s^2; default 9.8"
+    gravity_m_per_s2: vt.Positive | None = field("gravity", otherwise=9.8, usual_range=(9, 10.5))
+    radius_m: vt.Positive | None = field(
+        "radius of the sphere", otherwise=6378137.0, usual_range=(6e6, 7e6)
     )
-    radius_m: Annotated[Positive, KeyInfo(usual_range=(6e6, 7e6))] | None = Field(
-        None, description="radius of the sphere, m; default 6378137"
+    earth_rate_deg_per_h: vt.Positive | None = field(
+        "Earth rotation rate", otherwise=15.041067, usual_range=(10, 20)
     )
-    earth_rate_deg_per_h: Annotated[Positive, KeyInfo(usual_range=(10, 20))] | None = Field(
-        None, description="Earth rotation rate, deg/h; default 15.041067"
+    latitude_deg: vt.Elevation | None = field(
+        "latitude, positive north. Required in a simulation, and if a record's header lacks it"
     )
-    latitude_deg: Elevation | None = Field(
-        None,
-        description="latitude, positive north, deg. Required in a simulation, and if a record's"
-        " header lacks it",
+    height_m: vt.Finite | None = field(
+        "height above the ellipsoid or sphere",
+        otherwise="that in the record's header, or 0",
+        usual_range=(-12e3, 1e6),
     )
-    height_m: Annotated[Finite, KeyInfo(usual_range=(-12e3, 1e6))] | None = Field(
-        None,
-        description="height above the ellipsoid or sphere, m; default: that in the record's header,"
-        " or 0",
-    )
+
+
+EARTH_CONSTANTS: dict[str, float] = {
+    key: otherwise(EarthSection, key) for key in EarthSection.conditions[0].keys
+}
+"""Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
 
 def _any_nonzero(*values: Any) -> bool:
@@ -210,13 +171,11 @@ TURN_KEYS = (
 """Keys of turns of the base."""
 
 
+_AMPLITUDES = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg")
+
+
 def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
-
-
-def acting(effect: Effect, low: float | int | None = None, high: float | int = 0) -> KeyInfo:
-    """Return the properties of a key that acts on base or sensors, with its usual range, if any."""
-    return KeyInfo(usual_range=None if low is None else (low, high), acts_as=effect)
 
 
 class MotionSection(Section):
@@ -228,21 +187,13 @@ class MotionSection(Section):
     """
 
     conditions = (
-        *(
-            KeyCondition(
-                (f"{angle}_period_s", f"{angle}_phase_deg"),
-                (f"{angle}_amplitude_deg",),
-                _any_nonzero,
-            )
-            for angle in ("pitch", "roll", "yaw")
-        ),
+        KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
+        KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
+        KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
         KeyCondition(
             ("lever_arm_m",),
-            (
-                *(TURN_KEYS[0], "attitude_file", "vibration_deg_per_h_rms"),
-                *(f"{angle}_amplitude_deg" for angle in ("pitch", "roll", "yaw")),
-            ),
+            ("turn_times_s", "attitude_file", "vibration_deg_per_h_rms", *_AMPLITUDES),
             _rotates,
         ),
         KeyCondition(("surge_time_s", "surge_model"), ("surge_m_per_s",), _any_nonzero),
@@ -258,98 +209,112 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: Elevation = Field(0.0, description="mean pitch, positive front up, deg")
-    pitch_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    pitch_period_s: Period = Field(
-        10.0, description="period, s; default: required with an amplitude"
+    pitch_center_deg: vt.Elevation = field("mean pitch, positive front up", 0.0)
+    pitch_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    pitch_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    pitch_phase_deg: vt.Angle = field("phase", 0.0)
+    roll_center_deg: vt.HalfTurn = field("mean roll, positive right side down", 0.0)
+    roll_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    roll_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    roll_phase_deg: vt.Angle = field("phase", 0.0)
+    yaw_center_deg: vt.Angle | None = field(
+        "mean yaw, counter-clockwise from north (minus heading). Required in a simulation without"
+        " attitude_file"
     )
-    pitch_phase_deg: Angle = Field(0.0, description="phase, deg")
-    roll_center_deg: HalfTurn = Field(0.0, description="mean roll, positive right side down, deg")
-    roll_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    roll_period_s: Period = Field(
-        10.0, description="period, s; default: required with an amplitude"
-    )
-    roll_phase_deg: Angle = Field(0.0, description="phase, deg")
-    yaw_center_deg: Angle | None = Field(
-        None,
-        description="mean yaw, deg, counter-clockwise from north (minus heading). Required in a"
-        " simulation without attitude_file",
-    )
-    yaw_amplitude_deg: Amplitude = Field(0.0, description="amplitude, deg")
-    yaw_period_s: Period = Field(10.0, description="period, s; default: required with an amplitude")
-    yaw_phase_deg: Angle = Field(0.0, description="phase, deg")
-    lever_arm_m: Annotated[Vector, KeyInfo(usual_range=(-1e3, 1e3))] = Field(
+    yaw_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
+    yaw_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
+    yaw_phase_deg: vt.Angle = field("phase", 0.0)
+    lever_arm_m: vt.Vector = field(
+        "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis",
         0.0,
-        description="lever arm (right, front, up) to the sensors from the centre of sway on the"
-        " turn axis, m",
+        usual_range=(-300, 300),
     )
-    turn_times_s: EventTimes | None = Field(
-        None,
-        description="start times of turns from the first sample, rounded to whole samples, s;"
-        " default: no turns",
+    turn_times_s: vt.EventTimes | None = field(
+        "start times of turns from the first sample, rounded to whole samples", otherwise="no turns"
     )
-    turn_angles_deg: Annotated[Numbers, KeyInfo(usual_range=(-1e8, 1e8))] | None = Field(
-        None,
-        description="turn angles, positive counter-clockwise from above, deg: one for all or per"
-        " turn. An unfinished turn continues to the end: 1e6 for a carousel; default:"
-        " 180",
+    turn_angles_deg: vt.Numbers | None = field(
+        "turn angles, positive counter-clockwise from above: one for all or per turn. An"
+        " unfinished turn continues to the end: 1e6 for a carousel",
+        otherwise=180.0,
+        usual_range=(-1e8, 1e8),
     )
-    turn_rate_deg_per_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e5))] | None = Field(
-        None,
-        description="turn rate, adjusted to whole samples per turn, deg/s; default: 10",
+    turn_rate_deg_per_s: vt.Positive | None = field(
+        "turn rate, adjusted to whole samples per turn", otherwise=10.0, usual_range=(1e-3, 3600)
     )
-    turn_ramp_s: Annotated[Positive, KeyInfo(usual_range=(1e-4, 1e4))] | None = Field(
-        None, description="time to reach the turn rate, and to stop, s; default: 1"
+    turn_ramp_s: vt.Positive | None = field(
+        "time to reach the turn rate, and to stop", otherwise=1.0, usual_range=(1e-3, 1e3)
     )
-    turn_repeat_s: Seconds | None = Field(
-        None,
-        description="interval at which turns repeat until the end, s; default: no repetition",
+    turn_repeat_s: vt.Seconds | None = field(
+        "interval at which turns repeat until the end", otherwise="no repetition"
     )
-    turn_axis: Literal["vertical", "body"] | None = Field(
-        None,
-        description="'vertical': the vehicle turns, with its pitch and roll axes. 'body': a"
-        " turntable on the swaying vehicle turns the sensors about z; default:"
-        " 'vertical'",
+    turn_axis: Literal["vertical", "body"] | None = field(
+        "'vertical': the vehicle turns, with its pitch and roll axes. 'body': a turntable on the"
+        " swaying vehicle turns the sensors about z",
+        otherwise="'vertical'",
     )
-    attitude_file: Name | None = Field(
-        None,
-        description="text or Parquet file instead of angles and turns, with time_s, pitch_deg,"
-        " roll_deg and yaw_deg (or heading_deg), interpolated by cubic splines; smooth"
-        " noisy data first. Cannot be swept; default: none",
+    attitude_file: vt.Name | None = field(
+        "text or Parquet file instead of angles and turns, with time_s, pitch_deg, roll_deg and"
+        " yaw_deg (or heading_deg), interpolated by cubic splines; smooth noisy data first. Cannot"
+        " be swept",
+        otherwise="none",
     )
-    surge_m_per_s: Annotated[NoisePerAxis, acting("process", 0, 100)] = Field(
+    surge_m_per_s: vt.NoisePerAxis = field(
+        "rms velocity of surge, random motion about a fixed place, along east, north, up",
         0.0,
-        description="rms velocity of surge, random motion about a fixed place, along east,"
-        " north, up, m/s",
+        usual_range=(0, 10),
+        acts_as="process",
     )
-    surge_time_s: Annotated[Period, acting("process_shape")] = Field(
-        5.0, description="correlation time of the surge velocity, s"
+    surge_time_s: vt.Period = field(
+        "correlation time of the surge velocity", 5.0, acts_as="process_shape"
     )
-    surge_bandwidth_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
+    surge_bandwidth_hz: vt.Bandwidth = field(
+        "surge bandwidth, which limits acceleration; only for 'third_order'",
         1.0,
-        description="surge bandwidth, which limits acceleration, Hz; only for 'third_order'",
+        acts_as="process_shape",
     )
-    surge_model: Literal["third_order", "gauss_markov"] = Field(
+    surge_model: Literal["third_order", "gauss_markov"] = field(
+        "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
+        " first-order Gauss-Markov velocity; acceleration grows with sample rate",
         "third_order",
-        description="'third_order': finite variances of position, velocity and acceleration."
-        " 'gauss_markov': first-order Gauss-Markov velocity; acceleration grows with"
-        " sample rate",
     )
-    vibration_ug_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
+    vibration_ug_rms: vt.NoisePerAxis = field(
+        "linear vibration of the sensors' housing along right, front, up",
         0.0,
-        description="linear vibration of the sensors' housing along right, front, up, ug rms",
+        usual_range=(0, 1e7),
+        acts_as="process",
     )
-    vibration_deg_per_h_rms: Annotated[NoisePerAxis, acting("process", 0, 1e8)] = Field(
+    vibration_deg_per_h_rms: vt.NoisePerAxis = field(
+        "angular vibration of the sensors' housing about right, front, up. The true attitude is"
+        " that of the housing",
         0.0,
-        description="angular vibration of the sensors' housing about right, front, up, deg/h rms."
-        " The true attitude is that of the housing",
+        usual_range=(0, 1e6),
+        acts_as="process",
     )
-    vibration_hz: Annotated[Bandwidth, acting("process_shape")] = Field(
-        30.0, description="undamped natural frequency of vibration, Hz"
+    vibration_hz: vt.Bandwidth = field(
+        "undamped natural frequency of vibration", 30.0, acts_as="process_shape"
     )
-    vibration_damping: Annotated[Damping, acting("process_shape")] = Field(
-        0.05, description="damping ratio of vibration"
+    vibration_damping: vt.Damping = field(
+        "damping ratio of vibration", 0.05, acts_as="process_shape"
     )
+
+
+_WHITE = "white noise sigma of one sample; alternative to the random walk"
+_WALK = "angle or velocity random walk; alternative to the noise"
+_INSTABILITY = (
+    "rms bias instability, first-order Gauss-Markov; its Allan deviation is at most 0.617 of it"
+)
+_RATE_WALK = "rate or acceleration random walk, zero at the first sample"
+_RESOLUTION = "resolution of angle or velocity output; remainders carry over to the next sample"
+_CROSS_AXIS = (
+    "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor x"
+    " senses"
+)
+
+
+def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
+    """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
+    least = -largest if acts_as in ("bias", "distortion") else 0
+    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
 
 
 class SensorsSection(Section):
@@ -360,84 +325,36 @@ class SensorsSection(Section):
         KeyCondition(("accel_instability_time_s",), ("accel_instability_ug",), _any_nonzero),
     )
 
-    gyro_bias_deg_per_h: Annotated[Vector, acting("bias", -1e5, 1e5)] = Field(
-        0.0, description="constant bias, measured minus true, deg/h"
+    gyro_bias_deg_per_h: vt.Vector = _error("bias", 1e5, "constant bias, measured minus true")
+    gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
+        _WHITE, otherwise="no noise", usual_range=(0, 1e5), acts_as="noise"
     )
-    gyro_noise_deg_per_h: Annotated[NoisePerAxis, acting("noise", 0, 1e6)] | None = Field(
-        None,
-        description="white noise sigma of one sample, deg/h; alternative to the random walk;"
-        " default: no noise",
+    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = field(
+        _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
     )
-    gyro_arw_deg_per_sqrt_h: Annotated[
-        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e4))] | None,
-        KeyInfo(acts_as="noise", alternative_to="gyro_noise_deg_per_h"),
-    ] = Field(
-        None,
-        description="angle or velocity random walk, deg/sqrt(h); alternative to the noise",
+    gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
+    gyro_instability_time_s: vt.Period = field(
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
-    gyro_instability_deg_per_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
-        0.0,
-        description="rms bias instability, first-order Gauss-Markov, deg/h; its Allan deviation is"
-        " at most 0.617 of it",
+    gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
+    gyro_quantisation_arcsec: vt.NoisePerAxis = _error("quantum", 1e3, _RESOLUTION)
+    gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
+    accel_bias_ug: vt.Vector = _error("bias", 5e5, "constant bias, measured minus true")
+    accel_noise_ug: vt.NoisePerAxis | None = field(
+        _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
     )
-    gyro_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
-        300.0, description="correlation time of the bias instability, s"
+    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = field(
+        _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
     )
-    gyro_rrw_deg_per_h_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e4)] = Field(
-        0.0, description="rate or acceleration random walk, zero at the first sample, deg/h/sqrt(h)"
+    accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
+    accel_instability_time_s: vt.Period = field(
+        "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
-    gyro_quantisation_arcsec: Annotated[NoisePerAxis, acting("quantum", 0, 1e4)] = Field(
-        0.0,
-        description="resolution of angle or velocity output, arcsec; remainders carry over to the"
-        " next sample",
-    )
-    gyro_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
-        0.0, description="scale factor error, ppm"
-    )
-    gyro_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
-        0.0,
-        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
-        " input that sensor x senses",
-    )
-    accel_bias_ug: Annotated[Vector, acting("bias", -1e6, 1e6)] = Field(
-        0.0, description="constant bias, measured minus true, ug"
-    )
-    accel_noise_ug: Annotated[NoisePerAxis, acting("noise", 0, 1e7)] | None = Field(
-        None,
-        description="white noise sigma of one sample, ug; alternative to the random walk; default:"
-        " no noise",
-    )
-    accel_vrw_ug_per_sqrt_hz: Annotated[
-        Annotated[NoisePerAxis, KeyInfo(usual_range=(0, 1e7))] | None,
-        KeyInfo(acts_as="noise", alternative_to="accel_noise_ug"),
-    ] = Field(
-        None,
-        description="angle or velocity random walk, ug/sqrt(Hz); alternative to the noise",
-    )
-    accel_instability_ug: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
-        0.0,
-        description="rms bias instability, first-order Gauss-Markov, ug; its Allan deviation is at"
-        " most 0.617 of it",
-    )
-    accel_instability_time_s: Annotated[Period, acting("process_shape")] = Field(
-        300.0, description="correlation time of the bias instability, s"
-    )
-    accel_rrw_ug_per_sqrt_h: Annotated[NoisePerAxis, acting("process", 0, 1e6)] = Field(
-        0.0, description="rate or acceleration random walk, zero at the first sample, ug/sqrt(h)"
-    )
-    accel_quantisation_um_per_s: Annotated[NoisePerAxis, acting("quantum", 0, 1e6)] = Field(
-        0.0,
-        description="resolution of angle or velocity output, um/s; remainders carry over to the"
-        " next sample",
-    )
-    accel_scale_ppm: Annotated[Vector, acting("distortion", -1e6, 1e6)] = Field(
-        0.0, description="scale factor error, ppm"
-    )
-    accel_misalignment_arcsec: Annotated[CrossAxis, acting("distortion", -1e5, 1e5)] = Field(
-        0.0,
-        description="axis misalignments xy, xz, yx, yz, zx, zy, arcsec: xy is the fraction of the y"
-        " input that sensor x senses",
-    )
+    accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
+    accel_quantisation_um_per_s: vt.NoisePerAxis = _error("quantum", 1e5, _RESOLUTION)
+    accel_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
+    accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
 def _check_axes_order(order: str) -> str:
@@ -456,108 +373,99 @@ _COLUMN_KEYS = (
 )
 """Keys of [record] that describe columns."""
 
+_TIME_KEYS = dict.fromkeys(("time_unit", "time_scale", "time_fraction_column"), "time_column") | {
+    "time_fraction_unit": "time_fraction_column"
+}
+"""Keys of [record] that need another one."""
+
 
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
-    format: Literal["psins", "csv", "parquet", "arrays"] = Field(
-        description="format of the record. 'csv': text with a header line. 'parquet': Apache"
-        " Parquet. 'psins': PSINS text. 'arrays': Python arrays. The last two fix"
-        " columns and units, 'arrays' also axes"
+    format: Literal["psins", "csv", "parquet", "arrays"] = field(
+        "format of the record. 'csv': text with a header line. 'parquet': Apache Parquet. 'psins':"
+        " PSINS text. 'arrays': Python arrays. The last two fix columns and units, 'arrays' also"
+        " axes",
+        ...,
     )
-    from_s: SecondsOrZero | None = Field(
-        None,
-        description="start and end of the used part, s, from the record's beginning; default: its"
-        " beginning",
+    from_s: vt.SecondsOrZero | None = field(
+        "start and end of the used part, from the record's beginning", otherwise="its beginning"
     )
-    to_s: Seconds | None = Field(
-        None,
-        description="start and end of the used part, s, from the record's beginning; default: its"
-        " end",
+    to_s: vt.Seconds | None = field(
+        "start and end of the used part, from the record's beginning", otherwise="its end"
     )
-    columns: Columns | None = Field(
-        None,
-        description="column names of a text file without them; default: those in the file, or"
-        " column_1, column_2, ...",
+    columns: vt.Columns | None = field(
+        "column names of a text file without them",
+        otherwise="those in the file, or column_1, column_2, ...",
     )
-    skip_rows: Count | None = Field(
-        None, description="lines of a text file before its column names or samples; default: 0"
+    skip_rows: vt.Count | None = field(
+        "lines of a text file before its column names or samples", otherwise="0"
     )
-    quantity: Literal["increments", "rates"] | None = Field(
-        None,
-        description="sensor columns: 'increments' (integrals over each sample) or 'rates' (means);"
-        " default: by the units",
+    quantity: Literal["increments", "rates"] | None = field(
+        "sensor columns: 'increments' (integrals over each sample) or 'rates' (means)",
+        otherwise="by the units",
     )
-    time_column: str | None = Field(
-        None,
-        description="column of time stamps, at the end of each sample. Without it rate_hz gives"
-        " the times",
+    time_column: str | None = field(
+        "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
     )
-    time_fraction_column: Name | None = Field(
-        None, description="column of the fraction of a second that time_column lacks, such as nsecs"
+    time_fraction_column: vt.Name | None = field(
+        "column of the fraction of a second that time_column lacks, such as nsecs"
     )
-    time_fraction_unit: Literal["ms", "us", "ns"] | None = Field(
-        None, description="unit of time_fraction_column: 'ms', 'us' or 'ns'; default: 'ns'"
+    time_fraction_unit: Literal["ms", "us", "ns"] | None = field(
+        "unit of time_fraction_column: 'ms', 'us' or 'ns'", otherwise="'ns'"
     )
-    gyro_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
-    accel_columns: Triad | None = Field(None, description="columns of the x, y, z sensors")
+    gyro_columns: vt.Triad | None = field("columns of the x, y, z sensors")
+    accel_columns: vt.Triad | None = field("columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
-        Field(
-            None,
-            description="unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s',"
-            " 'deg_per_s', 'deg_per_h'",
+        field(
+            "unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s', 'deg_per_s',"
+            " 'deg_per_h'"
         )
     )
-    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = Field(
-        None,
-        description="unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg',"
-        " 'ug'",
+    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
+        "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
-        None,
-        description="multiplier for all columns, or per column: one count in the unit, or -1;"
-        " default: 1",
+    gyro_scale: vt.Vector | None = field(
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        otherwise="1",
+        usual_range=(-1e6, 1e6),
     )
-    accel_scale: Annotated[Vector, KeyInfo(usual_range=(-1e6, 1e6))] | None = Field(
-        None,
-        description="multiplier for all columns, or per column: one count in the unit, or -1;"
-        " default: 1",
+    accel_scale: vt.Vector | None = field(
+        "multiplier for all columns, or per column: one count in the unit, or -1",
+        otherwise="1",
+        usual_range=(-1e6, 1e6),
     )
-    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = Field(
+    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
+        "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
+        " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
         "xyz",
-        description="record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up."
-        " Or directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
     )
-    mounting_deg: tuple[Angle, Angle, Angle] | None = Field(
-        None,
-        description="attitude of the IMU (after axes_order) in the vehicle, deg: pitch, roll,"
-        " counter-clockwise yaw. Attitudes are then the vehicle's; default: 0, 0, 0",
+    mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
+        "attitude of the IMU (after axes_order) in the vehicle: pitch, roll, counter-clockwise"
+        " yaw. Attitudes are then the vehicle's",
+        otherwise="0, 0, 0",
     )
-    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = Field(
-        None,
-        description="time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of"
-        " day; default: 's'",
+    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
+        "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of day",
+        otherwise="'s'",
     )
-    time_scale: Factor | None = Field(None, description="multiplier of the time stamps; default: 1")
-    start_s: Starts = Field(
+    time_scale: vt.Factor | None = field("multiplier of the time stamps", otherwise="1")
+    start_s: vt.Starts = field(
+        "start times, coarse alignment included, one per draw, from the record's beginning",
+        otherwise="from_s, else 0",
         default_factory=lambda given: (given.get("from_s") or 0.0,),
-        description="start times, coarse alignment included, one per draw, s, from the record's"
-        " beginning; default: from_s, else 0",
     )
-    max_gap_s: SecondsOrZero | None = Field(
-        None,
-        description="longest gap between good samples that is interpolated, s; default: 0",
+    max_gap_s: vt.SecondsOrZero | None = field(
+        "longest gap between good samples that is interpolated", otherwise="0"
     )
-    gyro_bias_deg_per_h: GyroNoise | None = Field(
-        None,
-        description="largest bias that the check accepts, deg/h; default: 10 or with low noise 4.5",
+    gyro_bias_deg_per_h: vt.GyroNoise | None = field(
+        "largest bias that the check accepts", otherwise="10 or with low noise 4.5"
     )
-    accel_bias_ug: AccelNoise | None = Field(
-        None,
-        description="largest bias that the check accepts, ug; default: 5000",
+    accel_bias_ug: vt.AccelNoise | None = field(
+        "largest bias that the check accepts", otherwise="5000"
     )
-    trust: bool | None = Field(
-        None, description="whether to align despite errors that the check finds; default: false"
+    trust: bool | None = field(
+        "whether to align despite errors that the check finds", otherwise="false"
     )
 
     @model_validator(mode="after")
@@ -565,14 +473,12 @@ class RecordSection(Section):
         self._check_times()
         needed = ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
         if self.format in ("psins", "arrays"):
-            given = [key for key in _COLUMN_KEYS if getattr(self, key) is not None]
-            if self.format == "arrays":
-                given += ["axes_order"] if self.axes_order != "xyz" else []
-                given += ["mounting_deg"] if self.mounting_deg is not None else []
+            axes = ("axes_order", "mounting_deg") if self.format == "arrays" else ()
             why = "fixes it" if self.format == "psins" else "has it already"
-            for key in given:
-                text = f"does not apply to format '{self.format}', which {why} (drop it)"
-                raise rule_error(text, key=key)
+            for key in (*_COLUMN_KEYS, *axes):
+                if getattr(self, key) != type(self).model_fields[key].default:
+                    text = f"does not apply to format '{self.format}', which {why} (drop it)"
+                    raise rule_error(text, key=key)
             return self
         for key in needed:
             if getattr(self, key) is None:
@@ -600,12 +506,9 @@ class RecordSection(Section):
         return RecordLayout(**{key: value for key, value in given.items() if value is not None})
 
     def _check_times(self) -> None:
-        for key in ("time_unit", "time_scale", "time_fraction_column"):
-            if getattr(self, key) is not None and self.time_column is None:
-                raise rule_error("requires a time_column (give it, or drop this)", key=key)
-        if self.time_fraction_unit is not None and self.time_fraction_column is None:
-            text = "requires a time_fraction_column (give it, or drop this)"
-            raise rule_error(text, key="time_fraction_unit")
+        for key, needed in _TIME_KEYS.items():
+            if getattr(self, key) is not None and getattr(self, needed) is None:
+                raise rule_error(f"requires a {needed} (give it, or drop this)", key=key)
         begin, end = self.from_s or 0.0, self.to_s
         if end is not None and end <= begin:
             raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
@@ -660,12 +563,11 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: IncreasingPair | None = Field(None, description="[low, high]")
-    normal: Normal | None = Field(None, description="[mean, standard deviation]")
-    values: ListEntries | None = Field(None, description="one per draw, repeated from the first")
-    grid: ListEntries | None = Field(
-        None,
-        description="grid values; the draws are the product of all grids, the last key fastest",
+    uniform: vt.IncreasingPair | None = field("[low, high]")
+    normal: vt.Normal | None = field("[mean, standard deviation]")
+    values: ListEntries | None = field("one per draw, repeated from the first")
+    grid: ListEntries | None = field(
+        "grid values; the draws are the product of all grids, the last key fastest"
     )
 
     @property
@@ -687,10 +589,9 @@ class DrawnSection(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
-    sampling: Literal["random", "sobol"] = Field(
+    sampling: Literal["random", "sobol"] = field(
+        "'random': independent numbers. 'sobol': scrambled Sobol points of all drawn keys together",
         "random",
-        description="'random': independent numbers. 'sobol': scrambled Sobol points of all drawn"
-        " keys together",
     )
 
     @property
@@ -702,31 +603,31 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: Seconds = Field(
-        300.0, description="available alignment time, s: whole seconds, 10 to 7200"
+    time_s: vt.Seconds = field("available alignment time: whole seconds, 10 to 7200", 300.0)
+    wanted_deg: vt.AngleSigma | None = field(
+        "heading error that 95 % of alignments must not exceed"
     )
-    wanted_deg: AngleSigma | None = Field(
-        None, description="heading error that 95 % of alignments must not exceed, deg"
-    )
-    known_heading_deg: AngleSigma | None = Field(
-        None, description="1 sigma of prior heading knowledge, deg; default: nothing is known"
+    known_heading_deg: vt.AngleSigma | None = field(
+        "1 sigma of prior heading knowledge", otherwise="nothing is known"
     )
 
 
 class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
-    statistic: Name = Field(
-        description="'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin;"
-        " both follow judged_from"
+    statistic: vt.Name = field(
+        "'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin; both follow"
+        " judged_from",
+        ...,
     )
-    half_width: Positive = Field(
-        description="half-width of its 95 % interval, in the variant where it is widest, that ends"
-        " the study: a fraction for 'success_rate', else s"
+    half_width: vt.Positive = field(
+        "half-width of its 95 % interval, in the variant where it is widest, that ends the study:"
+        " a fraction for 'success_rate', else s",
+        ...,
     )
 
 
-Some = Annotated[Count, Field(ge=1)]
+Some = Annotated[vt.Count, Field(ge=1)]
 Searches = Annotated[
     tuple[Literal["grid", "sobol", "gradient"], ...],
     Field(min_length=1),
@@ -737,14 +638,13 @@ Searches = Annotated[
 class Range(Section):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: Finite | None = Field(None, description="ends of the range")
-    high: Finite | None = Field(None, description="ends of the range")
-    scale: Literal["linear", "log"] | None = Field(
-        None,
-        description="spacing of the values: 'linear', or 'log' for equal ratios; default: 'linear'",
+    low: vt.Finite | None = field("ends of the range")
+    high: vt.Finite | None = field("ends of the range")
+    scale: Literal["linear", "log"] | None = field(
+        "spacing of the values: 'linear', or 'log' for equal ratios", otherwise="'linear'"
     )
-    fixed: Any = Field(None, description="single value")
-    candidates: ListEntries | None = Field(None, description="values to try")
+    fixed: Any = field("single value")
+    candidates: ListEntries | None = field("values to try")
 
     @model_validator(mode="after")
     def _check_kind(self) -> "Range":
@@ -774,65 +674,59 @@ class Range(Section):
 class TuneSection(Section):
     """[tune]: objective, variables and searches of `sinsjax tune`."""
 
-    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = Field(
+    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = field(
+        "'settle_mean': mean settling time, unsettled runs counting with their length."
+        " 'settle_quantile': its quantile. 'final_error': rms final heading error. 'failure_rate':"
+        " fraction of unsettled runs",
         "settle_mean",
-        description="'settle_mean': mean settling time, unsettled runs counting with their length."
-        " 'settle_quantile': its quantile. 'final_error': rms final heading error."
-        " 'failure_rate': fraction of unsettled runs",
     )
-    objective_band_arcmin: Band = Field(
-        10.0,
-        description="heading band, arcmin: one of settle_bands_arcmin, or the success band",
+    objective_band_arcmin: vt.Band = field(
+        "heading band: one of settle_bands_arcmin, or the success band", 10.0
     )
-    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = Field(
-        0.9, description="quantile for 'settle_quantile'"
+    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = field(
+        "quantile for 'settle_quantile'", 0.9
     )
-    objective_across: Literal["mean", "worst"] = Field(
-        "mean", description="objective over several variants: 'mean' or 'worst'"
+    objective_across: Literal["mean", "worst"] = field(
+        "objective over several variants: 'mean' or 'worst'", "mean"
     )
-    searches: Searches = Field(
+    searches: Searches = field(
+        "'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times are tuned,"
+        " each also evaluates the reset law's schedule",
         ("grid", "gradient"),
-        description="'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times"
-        " are tuned, each also evaluates the reset law's schedule",
     )
-    tune_draws: Some | None = Field(
-        None,
-        description="draws for searches; in a recorded study every second start time; default: 16"
-        " in a simulation",
+    tune_draws: Some | None = field(
+        "draws for searches; in a recorded study every second start time",
+        in_simulation=16,
     )
-    evaluation_draws: Some | None = Field(
-        None,
-        description="other draws, to compare the best points with the baseline; in a recorded study"
-        " the other start times; default: 64 in a simulation",
+    evaluation_draws: Some | None = field(
+        "other draws, to compare the best points with the baseline; in a recorded study the other"
+        " start times",
+        in_simulation=64,
     )
-    grid_points: Annotated[Count, Field(ge=2)] = Field(
-        15, description="points per variable of a 'grid' search; at most two variables"
+    grid_points: Annotated[vt.Count, Field(ge=2)] = field(
+        "points per variable of a 'grid' search; at most two variables", 15
     )
-    sobol_points: Some = Field(
-        256, description="points of a 'sobol' search per combination of candidates"
-    )
-    descent_screen: Some = Field(
+    sobol_points: Some = field("points of a 'sobol' search per combination of candidates", 256)
+    descent_screen: Some = field(
+        "Sobol points evaluated before the descents, which start from the best; on `descent_draws`"
+        " draws",
         16,
-        description="Sobol points evaluated before the descents, which start from the best; on"
-        " `descent_draws` draws",
     )
-    descent_starts: Some = Field(4, description="parallel descents")
-    descent_steps: Some = Field(16, description="steps of a descent")
-    descent_draws: Some = Field(4, description="new draws per step")
-    descent_rate: Positive = Field(0.1, description="Adam learning rate, in lengths of the ranges")
-    relaxed_window_s: tuple[Seconds, Seconds] = Field(
+    descent_starts: Some = field("parallel descents", 4)
+    descent_steps: Some = field("steps of a descent", 16)
+    descent_draws: Some = field("new draws per step", 4)
+    descent_rate: vt.Positive = field("Adam learning rate, in lengths of the ranges", 0.1)
+    relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
+        "half-widths of smooth reset windows at the first and last step; only if a variable moves"
+        " a reset",
         (4.0, 1.0),
-        description="half-widths of smooth reset windows at the first and last step, s; only if a"
-        " variable moves a reset",
     )
-    relaxed_sharpness: tuple[Positive, Positive] = Field(
-        (6.0, 16.0),
-        description="sharpness of the smooth heading band edge at the first and last step",
+    relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
+        "sharpness of the smooth heading band edge at the first and last step", (6.0, 16.0)
     )
-    variables: dict[str, Range | tuple[Range, ...]] = Field(
-        description="tuned keys with their ranges, the table [tune.variables]"
+    variables: dict[str, Range | tuple[Range, ...]] = field(
+        "tuned keys with their ranges, the table [tune.variables]", ...
     )
-    baseline: dict[str, Any] = Field(
-        default={},
-        description="values to compare with, the table [tune.baseline]; default: the study's",
+    baseline: dict[str, Any] = field(
+        "values to compare with, the table [tune.baseline]", {}, otherwise="the study's"
     )

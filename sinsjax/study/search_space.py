@@ -8,8 +8,9 @@ with these values and one combination of all candidates, for a copy of the study
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
-from typing import Any, NamedTuple, NoReturn
+from itertools import groupby, product
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, alternative_keys, leaf_info
@@ -64,8 +65,7 @@ class SearchSpace:
     Attributes:
         ranges: ranges of [tune.variables], by key.
         variables: free variables in the order of the file, the dimensions of the box.
-        combinations: combinations of the candidates of all keys, the last key fastest, each with
-            the fixed values.
+        combinations: candidates of all keys, the last key fastest, each with the fixed values.
         rate_hz: sample rate of the study, Hz.
         record_interval_s: record interval of the study, s.
     """
@@ -81,39 +81,28 @@ class SearchSpace:
         """Return the search space of a study with [tune]."""
         assert study.tune is not None
         ranges = study.tune.variables
-        fixed_or_candidates = {
+        choices = {
             key: key_range.candidates or (key_range.fixed,)
             for key, key_range in ranges.items()
             if isinstance(key_range, Range) and not key_range.is_free
         }
         combinations = tuple(
-            dict(zip(fixed_or_candidates, values, strict=True))
-            for values in product(*fixed_or_candidates.values())
+            dict(zip(choices, values, strict=True)) for values in product(*choices.values())
         )
-        settings = study.study
-        return cls(
-            ranges,
-            _free_variables(ranges),
-            combinations,
-            settings.rate_hz,
-            settings.record_interval_s,
-        )
+        rate_hz, interval_s = study.study.rate_hz, study.study.record_interval_s
+        return cls(ranges, _free_variables(ranges), combinations, rate_hz, interval_s)
 
     def used_variables(self, combination: TomlTable) -> list[int]:
         """Return the indices of the variables that have an effect in a combination."""
         count = combination.get(COUNT, math.inf)
-        return [
-            number
-            for number, variable in enumerate(self.variables)
-            if variable.key != TIMES or variable.entry is None or variable.entry < count
-        ]
+        return [i for i, v in enumerate(self.variables) if v.key != TIMES or (v.entry or 0) < count]
 
     def to_values(self, box: Iterable[Any]) -> list[Any]:
         """Return the values at a box point, one per variable, including unused variables."""
         return [v.value(position) for v, position in zip(self.variables, box, strict=True)]
 
     def to_box(self, values: Sequence[float]) -> list[float]:
-        """Return the box point of some values, the inverse of `values`."""
+        """Return the box point of some values, the inverse of `to_values`."""
         return [v.position(value) for v, value in zip(self.variables, values, strict=True)]
 
     def make_point(self, values: Sequence[float], combination: TomlTable) -> TomlTable:
@@ -145,18 +134,16 @@ class SearchSpace:
         """
         if any(case[key] != value for key, value in combination.items() if key in case):
             return None
-        used = [self.variables[i] for i in self.used_variables(combination)]
-        values = []
-        for variable in used:
-            value = case[variable.key]
-            if variable.entry is not None:
-                entries = [v.entry for v in used if v.key == variable.key]
-                if len(value) != len(entries):
-                    return None
-                value = value[entries.index(variable.entry)]
-            if not variable.low <= value <= variable.high:
+        used = (self.variables[i] for i in self.used_variables(combination))
+        values: list[float] = []
+        for key, group in groupby(used, key=attrgetter("key")):
+            variables = list(group)
+            given = case[key] if variables[0].entry is not None else (case[key],)
+            if len(given) != len(variables):
                 return None
-            values.append(value)
+            if not all(v.low <= value <= v.high for v, value in zip(variables, given, strict=True)):
+                return None
+            values += given
         return values
 
     def _round_times(self, value: Any, key_info: KeyInfo) -> Any:
@@ -176,33 +163,24 @@ class SearchSpace:
 def _free_variables(ranges: Ranges) -> tuple[Variable, ...]:
     variables = []
     for key, key_range in ranges.items():
-        entries = (
-            [(None, key_range)] if isinstance(key_range, Range) else list(enumerate(key_range))
-        )
-        for entry, entry_range in entries:
-            if entry_range.low is not None and entry_range.high is not None:
-                variables.append(
-                    Variable(
-                        key, entry, entry_range.low, entry_range.high, entry_range.scale == "log"
-                    )
-                )
+        single = isinstance(key_range, Range)
+        for entry, r in enumerate([key_range] if isinstance(key_range, Range) else key_range):
+            if r.low is not None and r.high is not None:
+                number = None if single else entry
+                variables.append(Variable(key, number, r.low, r.high, r.scale == "log"))
     return tuple(variables)
-
-
-def _refuse_place(place: str, text: str) -> NoReturn:
-    raise InputError(f"{place}: {text}")
 
 
 def corner_points(study: Study) -> Iterator[tuple[str, TomlTable]]:
     """Yield the points with all ranges at their low or high end, each after its description."""
     space = SearchSpace.from_study(study)
-    ends = {"low": 0.0, "high": 1.0} if space.variables else {}
+    ends = {"at its low end": 0.0, "at its high end": 1.0}
     for combination in space.combinations:
-        for name, place in ends.items():
-            values = space.to_values([place] * len(space.variables))
-            yield f"with every range at its {name} end", space.make_point(values, combination)
-        if not ends:
+        if not space.variables:
             yield "with these values", space.make_point([], combination)
+        for name, position in ends.items() if space.variables else ():
+            values = space.to_values([position] * len(space.variables))
+            yield f"with every range {name}", space.make_point(values, combination)
 
 
 def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
@@ -211,19 +189,18 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
     An omitted key has the value of the key that it defaults to, and ``reset_times_s`` the times of
     counted resets.
     """
-    values = {}
+    values: TomlTable = {}
     for key in keys:
-        section = getattr(study, SECTION_OF[key])
-        values[key] = None if section is None else getattr(section, key)
-        if section is not None and key == TIMES:
-            values[key] = study.reset_times()[0]
-        elif key == "r_velocity_m_per_s" and "surge_m_per_s" in study.sequential_keys:
-            pass  # omitted, it follows the surge of each variant
-        elif section is not None and values[key] is None and leaf_info(key).same_as is not None:
-            source = leaf_info(key).same_as
-            if isinstance(source, str):
-                source = getattr(getattr(study, SECTION_OF[source]), source)
-            values[key] = source
+        section, default = getattr(study, SECTION_OF[key]), leaf_info(key).same_as
+        if section is None:
+            values[key] = None
+            continue
+        values[key] = study.reset_times()[0] if key == TIMES else getattr(section, key)
+        follows_surge = "surge_m_per_s" in study.sequential_keys  # of each variant
+        if values[key] is None and not (key == "r_velocity_m_per_s" and follows_surge):
+            if isinstance(default, str):
+                default = getattr(getattr(study, SECTION_OF[default]), default)
+            values[key] = default
     return values
 
 
@@ -242,40 +219,37 @@ def comparable_points(
     """
     assert study.tune is not None
     keys = list(next(iter(points.values())))
-    set_keys = {*keys, *(other for key in keys for other in alternative_keys(key))}
-    study_values = effective_values(
-        study, [key for key in study.tune.baseline if key not in set_keys]
-    )
+    others = [key for key in study.tune.baseline if key not in _with_alternatives(keys)]
+    study_values = effective_values(study, others)
     result = {"baseline": effective_values(baseline_study, [*keys, *study_values])}
-    for key, value in study_values.items():
-        if value is None:
-            _refuse_place(
-                f"[tune.baseline] {key}", "needs a value in the study too, for the other points"
-            )
-    for key, value in result["baseline"].items():
-        if value is None:
-            _refuse_place(f"[tune.baseline] {key}", "required, as the study has no value of it")
+    for values, text in (
+        (study_values, "needs a value in the study too, for the other points"),
+        (result["baseline"], "required, as the study has no value of it"),
+    ):
+        if lacking := [key for key, value in values.items() if value is None]:
+            raise InputError(f"[tune.baseline] {lacking[0]}: {text}")
     return result | {name: study_values | point for name, point in points.items()}
 
 
-def remove_keys(tables: TomlTable, keys: Sequence[str]) -> TomlTable:
+def _with_alternatives(keys: Iterable[str]) -> set[str]:
+    return {other for key in keys for other in (key, *alternative_keys(key))}
+
+
+def remove_keys(tables: TomlTable, keys: Iterable[str]) -> TomlTable:
     """Return a study's tables without some keys and their alternatives, and without [tune]."""
-    removed = {*keys, *(other for key in keys for other in alternative_keys(key))}
+    removed = _with_alternatives(keys)
     for condition in (c for section in SECTIONS.values() for c in section.conditions):
         if condition.refused and not {*condition.given}.isdisjoint(keys):
             removed |= {*condition.keys} - {*keys}
-    return {
-        name: {key: value for key, value in table.items() if key not in removed}
-        if name in TUNABLE
-        else table
-        for name, table in tables.items()
-        if name != "tune"
-    }
+    result = {name: table for name, table in tables.items() if name != "tune"}
+    for name in {*TUNABLE} & result.keys():
+        result[name] = {key: value for key, value in result[name].items() if key not in removed}
+    return result
 
 
 def insert_point(tables: TomlTable, point: TomlTable) -> TomlTable:
     """Return a study's tables with the keys of a point in their sections, and without [tune]."""
-    result = remove_keys(tables, list(point))
+    result = remove_keys(tables, point)
     for key, value in point.items():
         result[SECTION_OF[key]] = result.get(SECTION_OF[key], {}) | {key: value}
     return result

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, create_model
@@ -33,16 +33,7 @@ from sinsjax.study.keys import (
 from sinsjax.study.reset_schedules import (
     DERIVED,
     LAW_KEYS,
-    START_KEYS,
     derive_schedule,
-    predict_settling,
-)
-from sinsjax.study.resolved import (
-    CodedColumn,
-    Dimension,
-    ResolvedColumns,
-    constant_column,
-    unique_with_inverse,
 )
 from sinsjax.study.schema import (
     DrawnSection,
@@ -56,6 +47,13 @@ from sinsjax.study.schema import (
     keys_acting_as,
 )
 from sinsjax.study.sweep import sweep_dimensions
+from sinsjax.study.sweep_columns import (
+    CodedColumn,
+    Dimension,
+    SweepColumns,
+    constant_column,
+    unique_with_inverse,
+)
 from sinsjax.value_types import ROUNDING
 
 _USER_NAMES = (
@@ -267,17 +265,16 @@ class Study(_SectionsOfMethods):
         samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
-    @property
-    def resolved(self) -> ResolvedColumns:
-        """The columns of the study, computed once."""
-        return _resolve_columns(_IdentityKey(self))
+    def coded(self, *keys: str) -> CodedColumn:
+        """Return the column of a key, or of combinations of several, see `SweepColumns.column`."""
+        return _columns_of(_IdentityKey(self)).column(*keys)
 
     @property
     def lengths(self) -> CodedColumn:
         """The length of each variant's runs, as a column of `Span`."""
         if self.passes is None:
             return constant_column(self.n_variants, self.span())
-        return self.resolved.column(*PASS_KEYS).map(lambda values: self.span(*values))
+        return self.coded(*PASS_KEYS).map(lambda values: self.span(*values))
 
     @property
     def spans(self) -> list[Span]:
@@ -403,18 +400,7 @@ class Study(_SectionsOfMethods):
         """Times of the scheduled resets of each variant, s."""
         if not self.has("resets"):
             return constant_column(self.n_variants, ())
-        return self.resolved.column(*SCHEDULE_KEYS).map(
-            lambda values: scheduled_reset_times(*values)
-        )
-
-    @property
-    def predicted_settling(self) -> CodedColumn:
-        """Predicted settling time of each variant, s; None where nothing is predicted."""
-        keys = [k for k in (*LAW_KEYS, *DERIVED, *START_KEYS) if self.is_readable(k)]
-        missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-        codes, choices = self.resolved.column(*keys)
-        points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
-        return CodedColumn(codes, tuple(predict_settling(self.rate_hz, self.run_s, points)))
+        return self.coded(*SCHEDULE_KEYS).map(lambda values: scheduled_reset_times(*values))
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""
@@ -473,33 +459,35 @@ class Study(_SectionsOfMethods):
         """The swept keys that distinguish variants, see `axes_shown`."""
         return tuple(key for keys in self.axes_shown for key in keys)
 
+    def given_in(self, key: str) -> str | None:
+        """Return the table, in brackets, that gives, sweeps or draws a key; None if none does."""
+        name = SECTION_OF[key]
+        varied = {"[drawn]": self.drawn_keys, "[cases]": self.cases[0] if self.cases else ()}
+        varied |= {f"[axes.{zip_}]": tuple(keys) for zip_, keys in self.zips.items()}
+        for table, keys in (varied | {"[axes]": self.axes}).items():
+            if key in keys:
+                return table
+        section = getattr(self, name)
+        return f"[{name}]" if section and key in section.model_fields_set else None
+
+    def gives(self, *keys: str) -> bool:
+        """Return whether it gives, sweeps or draws one of some keys, instead of its default."""
+        return any(self.given_in(key) for key in keys)
+
+    def refuse(self, key: str, text: str) -> NoReturn:
+        """Raise the error of a key: ``[table] key: what is wrong (way on)``."""
+        raise InputError(f"{self.given_in(key) or f'[{SECTION_OF[key]}]'} {key}: {text}")
+
     @property
-    def figure_axes(self) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
-        """The axes of the study's figures with their values, and all other swept keys.
-
-        They are the first two swept numbers, or else the first key with lists, such as reset times.
-        """
-        numeric, listed = {}, {}
-        for (key, *more), values in self.axes_shown.items():
-            if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-                numeric[key] = tuple(map(float, values))
-            elif not more and all(isinstance(v, tuple) for v in values):
-                listed[key] = values
-        axes = dict([*numeric.items()][:2] or [*listed.items()][:1])
-        return axes, [key for key in self.keys_shown if key not in axes]
-
-    def single_value(self, key: str) -> Any:
-        """Return the one value of a key.
-
-        Raises:
-            InputError: the study sweeps the key.
-        """
-        first, *rest = self.combinations(key)
-        if rest:
-            raise InputError(
-                f"{self.name}: {key} must have one value (use a study without a sweep of it)"
-            )
-        return first[key]
+    def end(self) -> str:
+        """The end of the study and of its shortest run, in words."""
+        text = f"duration_s = {self.duration_s:.12g}"
+        whole_s = self.duration_s - self.dropped_s
+        if self.dropped_s:
+            text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
+        if self.run_s < whole_s * (1 - ROUNDING):
+            text += f"; the shortest run ends at {self.run_s:.12g} s"
+        return text
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
@@ -535,15 +523,10 @@ class Study(_SectionsOfMethods):
             values_by_key = dict(zip(keys, values, strict=True))
             # Coarse alignment replaces the initial attitude that is given.
             is_replaced = coarse and self.has_coarse_stage(*(values_by_key[key] for key in coarse))
-            return (
-                (values_by_key[key],) if has_effect(key, values_by_key) and not is_replaced else ()
-            )
+            acts = has_effect(key, values_by_key) and not is_replaced
+            return (values_by_key[key],) if acts else ()
 
-        codes, choices = self.resolved.column(*keys).map(value if len(keys) > 1 else lambda v: (v,))
-        code_of = {choice: code for code, choice in enumerate(dict.fromkeys(choices))}
-        return CodedColumn(
-            np.asarray([code_of[choice] for choice in choices])[codes], tuple(code_of)
-        )
+        return self.coded(*keys).map(value if len(keys) > 1 else lambda v: (v,)).merged()
 
     def variant_values(self) -> dict[str, list[Any]]:
         """Return the values of each axis key, one per variant.
@@ -568,7 +551,7 @@ class Study(_SectionsOfMethods):
             >>> sinsjax.load_study("paper1_resets").values("latitude_deg")
             [32.0, 32.0, 32.0]
         """
-        return self.resolved.column(key).to_list()
+        return self.coded(key).to_list()
 
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """Yield the distinct combinations of the values of sweepable keys over all variants.
@@ -643,9 +626,9 @@ class _IdentityKey:
 
 
 @lru_cache(maxsize=4)
-def _resolve_columns(key: _IdentityKey) -> ResolvedColumns:
+def _columns_of(key: _IdentityKey) -> SweepColumns:
     study = key.study
-    columns = ResolvedColumns(study.dimensions, study._constant)
+    columns = SweepColumns(study.dimensions, study._constant)
     if study.names_schedules:
         inputs = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
         columns.derive(DERIVED, inputs, study._derive)

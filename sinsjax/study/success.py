@@ -13,9 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from sinsjax import columns
 from sinsjax.study.study import Study
+from sinsjax.value_types import otherwise
 
 MAX_DWELL_S = 30.0
 """Longest dwell time that a run needs if the study does not give one."""
+
+FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
+"""Columns of the final heading error of a run and its bias floor."""
 
 
 class SuccessCriteria(NamedTuple):
@@ -51,22 +55,24 @@ class SuccessCriteria(NamedTuple):
 def success_criteria(study: Study) -> SuccessCriteria:
     """Return the success criteria of a study, with defaults."""
     settings = study.study
+
+    def number(key: str) -> float:
+        given: float | None = getattr(settings, key)
+        return otherwise(type(settings), key) if given is None else given
+
     return SuccessCriteria(
         judged_from=settings.judged_from or "truth",
-        band_arcmin=_or_default(settings.success_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        level_band_arcmin=_or_default(settings.level_band_arcmin, columns.SUCCESS_BAND_ARCMIN),
-        diverged_deg=_or_default(settings.diverged_deg, columns.DIVERGED_DEG),
+        band_arcmin=number("success_band_arcmin"),
+        level_band_arcmin=number("level_band_arcmin"),
+        diverged_deg=number("diverged_deg"),
         dwell_s=settings.dwell_s,
     )
 
 
 def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
-    return columns.settling_bands(study.study.settle_bands_arcmin, study.study.success_band_arcmin)
-
-
-FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
-"""Columns of the final heading error of a run and its bias floor."""
+    success = success_criteria(study).band_arcmin
+    return tuple(dict.fromkeys((*study.study.settle_bands_arcmin, success)))
 
 
 class SuccessMeasure(NamedTuple):
@@ -74,7 +80,7 @@ class SuccessMeasure(NamedTuple):
 
     Attributes:
         truth: whether it is the truth, or else the bias floor.
-        description: description of a success: ``within 10' of true north``.
+        description: a success in words: ``within 10' of true north``.
         settle_column: column of the time at which a run entered the band for good.
         ok_column: column of the successes.
         band_arcmin: half-width of the band.
@@ -103,9 +109,7 @@ class SuccessMeasure(NamedTuple):
     def outside_floor_band(self, get_column: Callable[[str], NDArray]) -> NDArray:
         """Return whether each run is ok but ends outside the band about its bias floor.
 
-        Args:
-            get_column: function that returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape,
-                with NaN for null.
+        ``get_column`` returns ``ok`` and `FLOOR_COLUMNS` as numbers of any shape, NaN for null.
         """
         distance = np.abs(get_column("phi_u_arcmin") - get_column("floor_arcmin"))
         off: NDArray = (get_column(self.ok_column) > 0) & (distance > self.band_arcmin)
@@ -115,35 +119,21 @@ class SuccessMeasure(NamedTuple):
 def success_measures(study: Study, band_arcmin: float | None = None) -> tuple[SuccessMeasure, ...]:
     """Return the reference of a study's success, then the other one; for a record its reference.
 
-    Args:
-        study: study of the runs.
-        band_arcmin: half-width of the band; None for the success band.
+    The half-width of the band is that of success unless it is given.
     """
     criteria = success_criteria(study)
     band = criteria.band_arcmin if band_arcmin is None else band_arcmin
     kinds = (True,) if study.is_recorded else (criteria.from_truth, not criteria.from_truth)
-    return tuple(_make_measure(study, band, truth) for truth in kinds)
+    measures = []
+    for truth in kinds:
+        north = "the reference" if study.is_recorded else "true north"
+        description = f"within {band:g}' of {north if truth else 'its bias floor'}"
+        column = columns.settle_column(band, truth=truth).name
+        ok_column = "ok_truth" if truth else "ok_floor"
+        measures.append(SuccessMeasure(truth, description, column, ok_column, band))
+    return tuple(measures)
 
 
 def success_columns(study: Study) -> list[str]:
     """Return the columns of successes and of their settling times."""
-    return [
-        name
-        for measure in success_measures(study)
-        for name in (measure.ok_column, measure.settle_column)
-    ]
-
-
-def _make_measure(study: Study, band: float, truth: bool) -> SuccessMeasure:
-    reference = "true north" if truth else "its bias floor"
-    return SuccessMeasure(
-        truth,
-        f"within {band:g}' of {'the reference' if study.is_recorded else reference}",
-        columns.settle_column(band, truth=truth).name,
-        "ok_truth" if truth else "ok_floor",
-        band,
-    )
-
-
-def _or_default(value: float | None, default: float) -> float:
-    return default if value is None else value
+    return [name for y in success_measures(study) for name in (y.ok_column, y.settle_column)]

@@ -4,22 +4,22 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from sinsjax.errors import InputError
-from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.schema import TURN_KEYS
+from sinsjax.study.schema import TURN_KEYS, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.units import DEG
-from sinsjax.value_types import ROUNDING
+from sinsjax.value_types import ROUNDING, otherwise
 
 MOST_TURN_PER_SAMPLE = 0.1
 """Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
 
-DEFAULTS = {"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 10.0, "turn_ramp_s": 1.0}
+DEFAULTS = {
+    key: otherwise(MotionSection, key)
+    for key in ("turn_angles_deg", "turn_rate_deg_per_s", "turn_ramp_s")
+}
 """Defaults of a study with turns."""
 
-
-_MANY_TURNS_DEG = 720.0
+_MANY_TURNS_DEG = 720.0  # as many as some methods need
 
 
 class Turn(NamedTuple):
@@ -57,16 +57,7 @@ class SampledTurns(NamedTuple):
 
 
 class TurnError(ValueError):
-    """Turns that no base can make, or that samples do not resolve.
-
-    Attributes:
-        key: the key to change.
-    """
-
-    def __init__(self, key: str, text: str) -> None:
-        """Take the key and the reason."""
-        super().__init__(text)
-        self.key = key
+    """Turns that no base can make, or that samples do not resolve: the key to change, and why."""
 
 
 def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
@@ -88,7 +79,8 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
         values[key] if values[key] is not None else default for key, default in DEFAULTS.items()
     )
     angles = angle if isinstance(angle, tuple) else (angle,) * len(times_s)
-    _check_values(rate_hz, end_s, times_s, angles, rate, ramp_s)
+    _refuse_angles_and_rate(rate_hz, len(times_s), angles, rate)
+    _refuse_times(rate_hz, end_s, times_s, ramp_s)
     changes: list[str] = []
 
     def samples(name: str, time_s: float, least: int = 0) -> int:
@@ -111,51 +103,46 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
     if values["turn_repeat_s"] is not None and turns:
         period = samples("repetition", values["turn_repeat_s"], 1)
         repeats = range(1 + max(0, end - 1 - turns[0].begin) // period)
-        _check_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
+        _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
         repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
         turns = [turn for turn in repeated if turn.begin < end]
-    _check_overlap(rate_hz, turns, ramp)
+    _refuse_overlap(rate_hz, turns, ramp)
     return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
 
 
-def _check_values(
-    rate_hz: float,
-    end_s: float,
-    times_s: tuple[float, ...],
-    angles: tuple[float, ...],
-    rate: float,
-    ramp_s: float,
+def _refuse_angles_and_rate(
+    rate_hz: float, count: int, angles: tuple[float, ...], rate: float
 ) -> None:
-    if len(angles) != len(times_s):
-        text = f"has {len(angles)} angles for {len(times_s)} turns (give one for all, or one each)"
+    if len(angles) != count:
+        text = f"has {len(angles)} angles for {count} turns (give one for all, or one each)"
         raise TurnError("turn_angles_deg", text)
     if 0 in angles:
         raise TurnError("turn_angles_deg", "0 is no turn (drop it, and its time)")
     if rate * DEG / rate_hz > MOST_TURN_PER_SAMPLE * (1 + ROUNDING):
         most = math.floor(MOST_TURN_PER_SAMPLE * rate_hz / DEG * 10) / 10
-        text = f"{rate:.12g} deg/s is faster than the samples resolve"
-        raise TurnError(
-            "turn_rate_deg_per_s", f"{text} (at most {most:g} deg/s at rate_hz = {rate_hz:.12g})"
-        )
+        hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
+        text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
+        raise TurnError("turn_rate_deg_per_s", text)
+
+
+def _refuse_times(rate_hz: float, end_s: float, times_s: tuple[float, ...], ramp_s: float) -> None:
     if ramp_s * rate_hz < 1 - ROUNDING:
         text = f"{ramp_s:.12g} s is shorter than a sample of {1 / rate_hz:.12g} s (give a longer)"
         raise TurnError("turn_ramp_s", text)
-    if times_s and times_s[-1] >= end_s * (1 - ROUNDING):
-        late_s = next(time_s for time_s in times_s if time_s >= end_s * (1 - ROUNDING))
-        text = f"the turn at {late_s:.12g} s begins after the end of the data, at {end_s:.12g} s"
+    late_s = [time_s for time_s in times_s if time_s >= end_s * (1 - ROUNDING)]
+    if late_s:
+        text = f"the turn at {late_s[0]:.12g} s begins after the end of the data, at {end_s:.12g} s"
         raise TurnError("turn_times_s", f"{text} (turn earlier, or give longer runs)")
 
 
-def _check_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
+def _refuse_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
     for turn, following in zip(turns, turns[1:], strict=False):
         end = turn.begin + turn.length + ramp
         if end > following.begin:
-            raise TurnError(
-                "turn_times_s",
-                f"the turn at {turn.begin / rate_hz:.12g} s ends at {end / rate_hz:.12g} s, after"
-                f" the next one begins, at {following.begin / rate_hz:.12g} s (leave more time, or"
-                " turn faster)",
-            )
+            begin_s, end_s, next_s = (n / rate_hz for n in (turn.begin, end, following.begin))
+            text = f"the turn at {begin_s:.12g} s ends at {end_s:.12g} s, after the next one begins"
+            hint = "leave more time, or turn faster"
+            raise TurnError("turn_times_s", f"{text}, at {next_s:.12g} s ({hint})")
 
 
 def data_end_s(study: Study) -> float:
@@ -163,52 +150,45 @@ def data_end_s(study: Study) -> float:
     return max(s.records_read for s in study.distinct_spans) * study.record_every / study.rate_hz
 
 
+def _turned_points(study: Study, *keys: str) -> Iterator[dict[str, Any]]:
+    """Yield the combinations of some keys and `TURN_KEYS` in which the base is turned."""
+    if not study.is_recorded:
+        points = study.combinations(*keys, *TURN_KEYS)
+        yield from (point for point in points if point["turn_times_s"])
+
+
 def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
     """Return the turns of a combination of the values of `TURN_KEYS` in whole samples."""
     return turns_in_samples(study.rate_hz, data_end_s(study), point)
 
 
-def check_turn_keys(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_turn_keys(study: Study) -> None:
     """Refuse keys of turns in a study without turns."""
-    if "turn_times_s" in key_tables:
-        return
-    for key in TURN_KEYS:
-        if key in key_tables:
-            text = "requires turn_times_s (give it, or drop this)"
-            raise InputError(f"{key_tables[key]} {key}: {text}")
+    for key in () if study.gives("turn_times_s") else TURN_KEYS:
+        if study.gives(key):
+            study.refuse(key, "requires turn_times_s (give it, or drop this)")
 
 
-def check_turns(study: Study, key_tables: Mapping[str, str]) -> None:
+def check_turns(study: Study) -> None:
     """Refuse turns that overlap, begin after the end of the data or are too fast for the samples.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
-    if study.is_recorded:
-        return
-    for point in study.combinations(*TURN_KEYS):
-        if point["turn_times_s"]:
-            try:
-                _turns_of(study, point)
-            except TurnError as error:
-                place = key_tables.get(error.key, "[motion]")
-                raise InputError(f"{place} {error.key}: {error}") from None
-
-
-def turns_base(study: Study) -> bool:
-    """Return whether the base is turned in some variant."""
-    if study.is_recorded:
-        return False
-    return any(point["turn_times_s"] for point in study.combinations("turn_times_s"))
+    for point in _turned_points(study):
+        try:
+            _turns_of(study, point)
+        except TurnError as error:
+            study.refuse(*error.args)
 
 
 def useless_methods(study: Study) -> Iterator[str]:
     """Yield one line per method of the study that cannot use its turns."""
     good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
     seen = set[str]()
-    for point in study.combinations("method", *TURN_KEYS) if not study.is_recorded else ():
+    for point in _turned_points(study, "method"):
         name, turning = point["method"], METHODS[point["method"]].turning
-        if name in seen or not point["turn_times_s"] or turning in (None, "any"):
+        if name in seen or turning in (None, "any"):
             continue
         end = round(data_end_s(study) * study.rate_hz)
         if turning == "many" and _turns_of(study, point).turned_deg(end) >= _MANY_TURNS_DEG:
@@ -221,32 +201,9 @@ def useless_methods(study: Study) -> Iterator[str]:
         )
 
 
-def warn_of_resets(study: Study) -> Iterator[str]:
-    """Yield a line if a scheduled reset of P forgets the position of the base before a turn."""
-    if study.is_recorded or not study.has("resets"):
-        return
-    for point in study.combinations("method", "reset_kind", *TURN_KEYS, *RESET_KEYS):
-        method = METHODS[point["method"]]
-        uses_turns = method.turning == "any" and "resets" in method.sections
-        if not uses_turns or not point["turn_times_s"] or point["reset_kind"] == "scale":
-            continue
-        resets_s = acting_reset_times(study.rate_hz, *(point[key] for key in RESET_KEYS))
-        first = _turns_of(study, point).turns[0].begin / study.rate_hz
-        for reset_s in resets_s:
-            if reset_s > first:
-                yield (
-                    f"[resets]: the reset at {reset_s:.12g} s forgets the position before the turn"
-                    f" at {first:.12g} s, which {method.name} needs (reset before the turn, or not)"
-                )
-                return
-
-
 def describe_rounding(study: Study) -> Iterator[str]:
     """Yield one line if whole samples change the times or rates of turns."""
-    if not turns_base(study):
-        return
-    points = study.combinations(*TURN_KEYS)
-    plans = [_turns_of(study, point) for point in points if point["turn_times_s"]]
+    plans = (_turns_of(study, point) for point in _turned_points(study))
     changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""

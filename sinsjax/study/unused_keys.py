@@ -1,6 +1,6 @@
 """Keys of a study that have no effect on any of its runs, named in one line before it runs."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from typing import Any
 
 from sinsjax.methods.method import INITIAL_KEYS
@@ -25,11 +25,10 @@ def list_idle_keys(study: Study) -> list[str]:
     Keys at their defaults are left out.
     """
     idle: dict[str, dict[str, list[str]]] = {}  # keys by table, by the reason
-    for table, keys in _keys_by_table(study).items():
-        for key in keys:
-            tuned = table.startswith("[tune")
-            if SECTION_OF.get(key) in SWEEPABLE and (reason := _idle_reason(study, key, tuned)):
-                idle.setdefault(reason, {}).setdefault(table, []).append(key)
+    for key, table in _keys_with_tables(study):
+        tuned = table.startswith("[tune")
+        if SECTION_OF.get(key) in SWEEPABLE and (reason := _idle_reason(study, key, tuned)):
+            idle.setdefault(reason, {}).setdefault(table, []).append(key)
     parts = []
     for reason, tables in idle.items():
         verb = "has" if sum(map(len, tables.values())) == 1 else "have"
@@ -38,22 +37,18 @@ def list_idle_keys(study: Study) -> list[str]:
     return [f"{'; '.join(parts)}."] if parts else []
 
 
-def _keys_by_table(study: Study) -> dict[str, Iterable[str]]:
-    """Return the keys that a study varies or changes from their defaults, by table in brackets."""
-    tables, sections = study.to_dict(), dict[str, Iterable[str]]()
+def _keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the keys that a study varies or changes from their defaults, and their tables."""
+    tables = study.to_dict()
     for name in SWEEPABLE:
-        defaults, section = SECTIONS[name].model_fields, getattr(study, name)
-        given = tables.get(name, {})
-        sections[f"[{name}]"] = [k for k in given if getattr(section, k) != defaults[k].default]
-    return {
-        **sections,
-        "[axes]": study.axes,
-        **{f"[axes.{name}]": keys for name, keys in study.zips.items()},
-        "[cases]": study.cases[0] if study.cases else (),
-        "[drawn]": study.drawn_keys,
-        "[tune.variables]": study.tune.variables if study.tune else (),
-        "[tune.baseline]": study.tune.baseline if study.tune else (),
-    }
+        for key in tables.get(name, ()):
+            if getattr(getattr(study, name), key) != SECTIONS[name].model_fields[key].default:
+                yield key, f"[{name}]"
+    for key in (*study.axis_keys, *study.drawn_keys):
+        if key != "case":
+            yield key, str(study.given_in(key))
+    for name in ("variables", "baseline") if study.tune else ():
+        yield from ((key, f"[tune.{name}]") for key in getattr(study.tune, name))
 
 
 def _idle_reason(study: Study, key: str, tuned: bool) -> str | None:
@@ -82,7 +77,5 @@ def _format_values(key: str, values: set[Any]) -> str:
     """Return the values of a key as a condition in a message."""
     if len(values) > _MAX_LISTED_VALUES:
         return f"these values of {key}"
-    if values == {None}:
-        return f"no {key}"
     shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in sorted(values, key=str)]
-    return f"{key} = {' or '.join(shown)}"
+    return f"no {key}" if values == {None} else f"{key} = {' or '.join(shown)}"

@@ -3,17 +3,16 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
-from sinsjax.errors import InputError
 from sinsjax.records.reference import Reference
 from sinsjax.study.attitude_file import read_attitude
-from sinsjax.study.keys import SECTION_OF
-from sinsjax.study.resolved import CodedColumn
 from sinsjax.study.study import Study
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import data_end_s
+from sinsjax.units import si_factor
 
 Lookup = Callable[[str], Any]
 """Function of a key that returns its common value in all variants of a part, or its draws."""
@@ -47,11 +46,16 @@ class Variants:
         self._study = study
         self.site, self.micro_g = site, micro_g
         self.run_s, self.is_recorded = study.run_s, study.is_recorded
-        self.end = ""
+        self.given_in, self.refuse = study.given_in, study.refuse
         self.record_interval_s = study.study.record_interval_s
         self.combinations, self.given_combinations = study.combinations, study.given_combinations
         self._drawn = drawn or {}
         self.ids = ids
+
+    @property
+    def end(self) -> str:
+        """The end of the study's shortest run, in words."""
+        return self._study.end
 
     @property
     def count(self) -> int:
@@ -82,13 +86,13 @@ class Variants:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return a column for these variants, see `ResolvedColumns.column`."""
-        whole = self._study.resolved.column(*keys)
+        """Return a column for these variants, see `SweepColumns.column`."""
+        whole = self._study.coded(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
     def value(self, key: str, variant: int) -> Any:
         """Return the value of a key in the variant with this index in the part."""
-        codes, choices = self._study.resolved.column(key)
+        codes, choices = self._study.coded(key)
         return choices[codes[self.ids[variant]]]
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
@@ -96,6 +100,10 @@ class Variants:
         if key in self._study.drawn_keys:
             return np.zeros(len(self.ids))
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
+
+    def si(self, key: str) -> np.ndarray:
+        """Return the values of a numeric key in SI units, (variants,); zeros for a drawn key."""
+        return self.column(key, si_factor(key, self.micro_g))
 
     def rms(self, key: str) -> np.ndarray:
         """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
@@ -134,18 +142,6 @@ class Variants:
         """Return whether one of some keys, which all variants share, is drawn or not zero."""
         drawn = self._study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
-
-    def place(self, key: str) -> str | None:
-        """Return the table, in brackets, that gives a key or its default."""
-        study = self._study
-        if study.cases and key in study.cases[0]:
-            return "[cases]"
-        zipped = (f"[axes.{name}]" for name, keys in study.zips.items() if key in keys)
-        return next(zipped, "[axes]" if key in study.axes else f"[{SECTION_OF[key]}]")
-
-    def refuse(self, key: str, text: str) -> NoReturn:
-        """Raise the error of a value that cannot be run, with study and table of the key."""
-        raise InputError(f"{self._study.name}: {self.place(key)} {key}: {text}")
 
     @classmethod
     def all_of(cls, study: Study) -> "Variants":

@@ -41,7 +41,7 @@ from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point
 from sinsjax.types import Array, Count
-from sinsjax.units import DEG, micro_g
+from sinsjax.units import DEG, micro_g, si_factor
 
 NAME = "gradient"
 
@@ -442,6 +442,10 @@ class _TunedKeys:
         if key not in self._tuned:
             return self._keys.column(key, factor)
         return jnp.full(self._keys.count, self._tuned[key] * factor)
+
+    def si(self, key: str) -> Any:
+        """Return numbers in SI units, (variants,); NaN if the key is left out."""
+        return self.column(key, si_factor(key, self._keys.micro_g))
 
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
         """Return a function of the values of some keys, (variants, ...)."""

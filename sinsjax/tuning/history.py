@@ -3,6 +3,7 @@
 Reading it needs no JAX, so a report starts without it.
 """
 
+import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +24,6 @@ from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.toml_text import parse_toml
 from sinsjax.units import split_unit
 
 FILE = "history.parquet"
@@ -272,7 +272,7 @@ def read_study(directory: Path) -> Study | None:
     """Return the study that a history tunes; None if there is no intact history."""
     try:
         text = _study_text(directory)
-        return None if text is None else study_from_dict(parse_toml(text), str(directory / FILE))
+        return None if text is None else study_from_dict(tomllib.loads(text), str(directory / FILE))
     except (InputError, ValueError, RecursionError):
         return None
 

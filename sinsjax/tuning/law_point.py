@@ -4,6 +4,8 @@ The law gets what the tuning is for: the largest initial heading error of the st
 the objective. Variables that are not of the schedule have their values of the baseline.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,7 +84,7 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
     if isinstance(times, tuple):
         resets = min(len(times), combination.get(COUNT, len(times)))
     else:
-        resets = point.single_value(COUNT) or 0
+        resets = _only_value(point, COUNT) or 0
     if not resets:
         raise NoSchedule("no reset is counted")
     bound_deg = _largest_heading_deg(study)
@@ -97,7 +99,7 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
         for _, values in iter_filters(point, **bounds)
     ]
     times_s = max(schedules, key=lambda found: found.settling_s).times_s
-    if resets > 1 and (_FIRST in keys or point.single_value(_FIRST) is not None):
+    if resets > 1 and (_FIRST in keys or _only_value(point, _FIRST) is not None):
         cycle_s = (times_s[-1] - times_s[0]) / (resets - 1)
     else:  # the first reset is after a cycle
         cycle_s = times_s[-1] / resets
@@ -109,3 +111,11 @@ def _largest_heading_deg(study: Study) -> float | None:
     if study.is_recorded or study.coarse_stages or _HEADING in study.drawn_keys:
         return None
     return max(abs(point[_HEADING]) for point in study.combinations(_HEADING))
+
+
+def _only_value(study: Study, key: str) -> Any:
+    first, *rest = study.combinations(key)
+    if rest:
+        text = "must have one value (use a study without a sweep of it)"
+        raise InputError(f"{study.name}: {key} {text}")
+    return first[key]

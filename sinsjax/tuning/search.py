@@ -23,10 +23,10 @@ from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, study_to_tables
-from sinsjax.study.resolved import Dimension
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import sweep_dimensions
+from sinsjax.study.sweep_columns import Dimension
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point

@@ -5,7 +5,9 @@ import os
 from pathlib import Path
 
 import pytest
+import tomli_w
 from support.commands import Command, command_line
+from support.studies import small_tables
 
 import sinsjax as package
 from sinsjax.errors import InputError
@@ -241,8 +243,22 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
-    assert "The filter assumes 100 times the sensors' noise" in told
+    assert "The filter assumes the sensors' own noise." in told
     assert "The filter feeds back every 1 s; its level settles in 0.89 s" in told
+    assert "assumes 100 times the sensors' noise" in sinsjax("validate", "paper1_resets")[1]
+
+
+def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) -> None:
+    Path("short.toml").write_text(tomli_w.dumps(small_tables(study={"settle_bands_arcmin": [60]})))
+    variables = {"feedback_interval_s": {"candidates": [1.0, 2.0]}}
+    tune = {"searches": ["grid"], "variables": variables, "objective_band_arcmin": 60}
+    Path("tuned.toml").write_text(tomli_w.dumps(small_tables(tune=tune)))
+    warning = "10' cannot be reached reliably with these sensors in 6 s (1,300', 2 sigma of"
+    assert sinsjax("validate", "short")[1].count(f"Warning: {warning}") == 1
+    for command, study in {"run": "short", "sweep": "short", "tune": "tuned"}.items():
+        code, told, error = sinsjax(command, study, "-o", command)
+        assert code == 0 and warning not in told and error.count(f"Warning: {warning}") == 1
+    assert "Warning" in sinsjax("report", "sweep")[1]
 
 
 @pytest.mark.parametrize(

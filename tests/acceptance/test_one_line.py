@@ -243,7 +243,7 @@ def test_interrupted_sweep_prints_resume_command(
         raise StudyInterrupted("1 of 3 runs are in out")
 
     config = tmp_path / "my study.toml"
-    config.write_text(tomli_w.dumps(small_tables()))
+    config.write_text(tomli_w.dumps(small_tables(study={"success_band_arcmin": 1000.0})))
     monkeypatch.setattr(run, "run_job", interrupted)
     words = ["sweep", config, "-o", tmp_path / "out", "--draws", 48]
     again = f"sinsjax sweep '{config}' -o {tmp_path / 'out'} --draws 48 --resume"

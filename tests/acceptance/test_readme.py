@@ -39,7 +39,7 @@ def test_first_command_prints_what_is_shown(
     code, told, _ = command("sweep", "reset_sweep", "-o", tmp_path / "out")
     shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[0]
     assert code == 0
-    for label in ("Best", "Others", "Accuracy", "Caution"):
+    for label in ("Best", "Others", "Accuracy"):
         pattern = rf"^  {label} (.*?)(?=^  \w|^\s*$|^\w|\Z)"
         here, there = (re.findall(pattern, t, re.M | re.S)[0] for t in (told, shown))
         assert_same_but_for_last_digits(here, there)

@@ -325,33 +325,86 @@ def test_shipped_studies_of_real_record_give_no_warnings(name: str, data_dir: Pa
 # Simulations
 
 
+def motion_warnings(study: Study) -> list[str]:
+    """Return the warnings about the motion of a study, whose runs are too short for its bands."""
+    return [line for line in study_warnings(study) if line.startswith("[motion]")]
+
+
 def test_gauss_markov_surge_warning_states_acceleration() -> None:
     """0.1 m/s and 5 s at 100 Hz: 0.1 sqrt(2 / (5 * 0.01)) to a thousandth."""
     surge = {"surge_m_per_s": [0.1, 0.05, 0.0], "surge_model": "gauss_markov"}
-    (line,) = study_warnings(small_study(motion=surge))
+    (line,) = motion_warnings(small_study(motion=surge))
     assert line == (
         "[motion] surge_model: the acceleration of a 'gauss_markov' surge grows with the rate,"
         " 0.632 m/s^2 rms at 100 Hz"
     )
-    assert not study_warnings(small_study(motion=surge | {"surge_model": "third_order"}))
+    assert not motion_warnings(small_study(motion=surge | {"surge_model": "third_order"}))
 
 
 def test_sway_above_half_sample_rate_is_reported_as_aliased(tmp_path: Path) -> None:
     study = small_study(motion={"roll_period_s": 0.0125})
-    (line,) = study_warnings(study)
+    (line,) = motion_warnings(study)
     assert line == (
         "[motion] roll_period_s: a sway of 80 Hz is above half of rate_hz = 100, so it is"
         " aliased to a slower one"
     )
     with pytest.warns(StudyWarning, match="aliased"):
         run.run_into(study, tmp_path / "out")
-    assert read_manifest(tmp_path / "out")["warnings"] == [line]
-    assert not study_warnings(
+    assert read_manifest(tmp_path / "out")["warnings"][:1] == [line]
+    assert not motion_warnings(
         small_study(motion={"roll_period_s": 0.0125, "roll_amplitude_deg": 0.0})
     )
-    assert not study_warnings(small_study()) and not study_warnings(small_study(motion=STILL))
+    assert not motion_warnings(small_study()) and not motion_warnings(small_study(motion=STILL))
     swept = small_study(axes={"yaw_period_s": [10.0, 0.015]})
-    assert "66.67 Hz" in study_warnings(swept)[0]
+    assert "66.67 Hz" in motion_warnings(swept)[0]
+
+
+TACTICAL = {
+    "study": {"duration_s": 600.0, "window_s": [400, 600], "settle_bands_arcmin": [60, 10]},
+    "sensors": {"gyro_noise_deg_per_h": None, "gyro_arw_deg_per_sqrt_h": 0.02},
+}
+NARROW = "10' cannot be reached reliably with these sensors in 600 s (29', 2 sigma of their noise)"
+
+
+@pytest.mark.parametrize(
+    ("changes", "hint"),
+    [
+        ({}, "settle_bands_arcmin, e.g. [60] and success_band_arcmin, e.g. 60"),
+        ({"study.settle_bands_arcmin": [60]}, "success_band_arcmin, e.g. 60"),
+        ({"study.success_band_arcmin": 60}, "settle_bands_arcmin, e.g. [60]"),
+        ({"axes.gyro_arw_deg_per_sqrt_h": [0.02, 0.1]}, "settle_bands_arcmin, e.g. [60]"),
+        ({"axes.gyro_arw_deg_per_sqrt_h": [0.02, 0.001]}, None),  # one of the variants reaches it
+        ({"drawn.gyro_arw_deg_per_sqrt_h.uniform": [0.02, 0.1]}, None),
+        ({"sensors.gyro_arw_deg_per_sqrt_h": [0.001, 0.02, 0.02]}, None),
+        ({"filter.p0_yaw_deg": 0.1}, None),  # the start knows the heading
+        ({"study.settle_bands_arcmin": [60], "study.success_band_arcmin": 30}, None),
+    ],
+)
+def test_band_below_the_noise_of_the_sensors_is_warned_of(
+    changes: dict[str, Any], hint: str | None
+) -> None:
+    lines = study_warnings(small_study(**TACTICAL).replace(changes))
+    assert [line.startswith(f"{NARROW}: set {hint}") for line in lines] == [True] * (
+        hint is not None
+    )
+
+
+@pytest.mark.parametrize(
+    ("arw", "vrw", "latitude"), [(0.02, 1.0, 32.0), (0.02, 1.0, 70.0), (0.0001, 200.0, 32.0)]
+)
+def test_noise_that_bands_are_warned_of_is_that_of_runs(
+    arw: float, vrw: float, latitude: float
+) -> None:
+    study = with_noise(
+        {"gyro_arw_deg_per_sqrt_h": arw, "accel_vrw_ug_per_sqrt_hz": vrw},
+        study={"duration_s": 60.0, "window_s": [30, 60], "rate_hz": 20.0, "draws": 192},
+        earth={"latitude_deg": latitude},
+        alignment={"method": "gravity_fit"},
+    ).replace({"sensors.gyro_bias_deg_per_h": 0.0, "sensors.accel_bias_ug": 0.0})
+    (line,) = study_warnings(study)
+    two_sigma = float(re.findall(r"\(([\d,]+)'", line)[0].replace(",", ""))
+    ends = np.array(run.run(study).summary["phi_u_arcmin"].to_pylist())
+    assert two_sigma == pytest.approx(2 * np.sqrt(np.mean(ends**2)), rel=0.15)
 
 
 def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from sinsjax.value_types import KeyInfo
+from sinsjax.value_types import KeyInfo, key_info
 
 Strategy = st.SearchStrategy[Any]
 
@@ -69,7 +69,7 @@ _fields: dict[int, Strategy] = {}
 def values_of_field(field: FieldInfo) -> Strategy:
     """Return a strategy for values that a key accepts, according to its type."""
     if id(field) not in _fields:  # which live as long as the schema
-        _fields[id(field)] = values_of_type(field.annotation, tuple(field.metadata))
+        _fields[id(field)] = values_of_type(field.annotation, (*field.metadata, key_info(field)))
     return _fields[id(field)]
 
 

@@ -95,7 +95,7 @@ def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Sour
 def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
-    assert study.figure_axes == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
+    assert axis_figures.figure_axes(study) == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
     source = Source.read(store_results(tmp_path, study, synthetic_summary(study)))
     (figure,) = axis_figures.build_axis_figures(source)
     axes = figure.figure.axes[-1]

@@ -49,6 +49,12 @@ def test_unusual_value_is_refused_unless_unchecked(refusal):
     unchecked_study(**refusal.tables)
 
 
+def test_random_walk_in_another_unit_is_refused():
+    """12 deg/h/sqrt(Hz) is 0.2 deg/sqrt(h)."""
+    walk = {"gyro_noise_deg_per_h": None, "gyro_arw_deg_per_sqrt_h": 12.0}
+    assert_named(refusal_line(sensors=walk), "[sensors] gyro_arw_deg_per_sqrt_h", "12", "3")
+
+
 def test_reset_before_the_first_sample_is_refused():
     assert_named(refusal_line(resets={"reset_times_s": [1e-12, 1.0]}), "[resets] reset_times_s")
 

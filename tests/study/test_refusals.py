@@ -144,8 +144,7 @@ cases = {phi_u0_deg = 1}                     -> [cases]
 cases = []                                   -> [cases]: empty
 cases = [{}]                                 -> [cases]: empty
 cases = [{phi_u0_deg = 1}, {phi_u0_deg = "x"}]     -> [cases] phi_u0_deg[1]: 'x'
-cases = [{phi_u0_deg = 1}, {phi_e0_deg = 1}]       -> [cases] phi_u0_deg[1]: every
-cases = [{phi_u0_deg = 1}, {phi_u0_deg = 2, case = "b"}]  -> [cases] case[1]: every
+cases = [{phi_u0_deg = 1}, {phi_u0_deg = 2, case = "b"}]  -> [cases] case[0]: every
 cases = [{case = 1, phi_u0_deg = 1}]         -> [cases] case[0]: 1
 cases = [{case = "a", phi_u0_deg = 1}, {case = "a", phi_u0_deg = 2}]   -> [cases] case[1]: [0]
 cases = [{case = "a", phi_u0_deg = 1}, {case = "b", phi_u0_deg = 1.0}]

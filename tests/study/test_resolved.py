@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.studies import small_study
 
-from sinsjax.study.resolved import Dimension, ResolvedColumns
+from sinsjax.study.sweep_columns import Dimension, SweepColumns
 from sinsjax.study.variants import Variants
 
 VALUES = st.sampled_from([None, 0.0, 1.5, "full", (1.0, 2.0), ()])
@@ -39,7 +39,7 @@ def expand_variants(sweep: list[Dimension]) -> list[dict[str, Any]]:
 
 @given(sweeps())
 def test_columns_match_product_of_dimensions(sweep):
-    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
+    resolved, variants = SweepColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     assert resolved.n_variants == len(variants)
     for key in variants[0]:
         column = resolved.column(key)
@@ -51,7 +51,7 @@ def test_columns_match_product_of_dimensions(sweep):
 
 @given(sweeps(), st.randoms(use_true_random=False))
 def test_joint_columns_have_only_occurring_combinations(sweep, random):
-    resolved, variants = ResolvedColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
+    resolved, variants = SweepColumns(sweep, {"z": 7}.__getitem__), expand_variants(sweep)
     keys = random.sample(sorted(variants[0]), random.randint(1, len(variants[0])))
     keys = keys if len(keys) > 1 else [*keys, "z"]
     column, whole = resolved.column(*keys), [tuple(v[key] for key in keys) for v in variants]
@@ -72,4 +72,4 @@ def test_changed_study_copy_recomputes_columns():
     assert study.values("phi_u0_deg") == [0.0, 10.0, 20.0]
     other = study.model_copy(update={"axes": {"phi_u0_deg": (5.0,)}})
     assert other.values("phi_u0_deg") == [5.0]
-    assert study.resolved is study.resolved is not other.resolved
+    assert study.coded("phi_u0_deg") is study.coded("phi_u0_deg")

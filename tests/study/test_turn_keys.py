@@ -107,23 +107,6 @@ def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("resets", "motion", "warned"),
-    [
-        ({"reset_times_s": [1.0, 3.0]}, {"turn_times_s": [2.0]}, True),
-        ({"reset_count": 2, "reset_cycle_s": 1.5}, {"turn_times_s": [2.0]}, True),
-        ({"reset_times_s": [1.0, 2.0]}, {"turn_times_s": [2.0]}, False),
-        ({"reset_times_s": [3.0], "reset_kind": "scale"}, {"turn_times_s": [2.0]}, False),
-        ({"reset_times_s": [3.0]}, {}, False),
-    ],
-)
-def test_resets_that_forget_the_position_before_a_turn_are_warned_of(resets, motion, warned):
-    study = small_study(motion=STILL | motion, alignment={"method": "kalman10"}, resets=resets)
-    lines = study_warnings(study)
-    assert len(lines) == warned
-    assert all(line.startswith("[resets]: the reset at 3 s ") for line in lines)
-
-
 def test_hidden_north_is_not_feared_on_a_turned_base():
     biased = {"gyro_bias_deg_per_h": [50.0, 0.0, 0.0]}
     assert hidden_north(small_study(motion=STILL, sensors=biased)) is not None

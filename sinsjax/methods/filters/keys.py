@@ -14,86 +14,72 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sinsjax import value_types as vt
-from sinsjax.columns import Column
+from sinsjax.columns import column
 from sinsjax.methods.filters.loop import Filter, closed_loop
 from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
-from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo, Section, keys_of
+from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
+from sinsjax.value_types import ROUNDING, KeyCondition, Section, field, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
+
+_SQRT_H = DEG_PER_SQRT_H / DEG_PER_H
+"""One deg/sqrt(h), in deg/h/sqrt(Hz): 60."""
 
 
 class FilterSection(Section):
     """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
 
-    p0_velocity_m_per_s: vt.SpeedSigma = Field(
-        0.1, description="initial sigma of east and north velocity errors, m/s"
+    p0_velocity_m_per_s: vt.SpeedSigma = field(
+        "initial sigma of east and north velocity errors", 0.1
     )
-    p0_level_deg: vt.AngleSigma = Field(
-        15.0, description="initial sigma of level errors about east and north, deg"
+    p0_level_deg: vt.AngleSigma = field("initial sigma of level errors about east and north", 15.0)
+    p0_yaw_deg: vt.HeadingSigma = field("initial sigma of heading", 80.0)
+    p0_gyro_bias_deg_per_h: vt.GyroSigma = field("initial sigma of each gyro's bias", 0.1)
+    p0_accel_bias_ug: vt.AccelSigma = field(
+        "initial sigma of each level accelerometer's bias", 500.0
     )
-    p0_yaw_deg: vt.HeadingSigma = Field(80.0, description="initial sigma of heading, deg")
-    p0_gyro_bias_deg_per_h: vt.GyroSigma = Field(
-        0.1, description="initial sigma of each gyro's bias, deg/h"
+    q_accel_ug: vt.AccelNoise | None = field(
+        "process noise of velocity errors; per sqrt(Hz) with q_reading = 'psd'",
+        otherwise="that of the accelerometers in [sensors]",
     )
-    p0_accel_bias_ug: vt.AccelSigma = Field(
-        500.0, description="initial sigma of each level accelerometer's bias, ug"
+    q_gyro_deg_per_h: vt.GyroNoise | None = field(
+        "process noise of misalignments; per sqrt(Hz) with q_reading = 'psd'",
+        otherwise="that of the gyros in [sensors]",
     )
-    q_accel_ug: vt.AccelNoise | None = Field(
-        None,
-        description="process noise of velocity errors, ug; per sqrt(Hz) with q_reading = 'psd';"
-        " default: that of the accelerometers in [sensors]",
+    q_accel_ug_per_sqrt_hz: vt.AccelNoise | None = field(
+        "process noise density of velocity errors; alternative to q_accel_ug with q_reading ="
+        " 'psd'",
+        alternative_to="q_accel_ug",
     )
-    q_gyro_deg_per_h: vt.GyroNoise | None = Field(
-        None,
-        description="process noise of misalignments, deg/h; per sqrt(Hz) with q_reading = 'psd';"
-        " default: that of the gyros in [sensors]",
+    q_gyro_deg_per_h_per_sqrt_hz: vt.GyroNoise | None = field(
+        "process noise density of misalignments; alternative to q_gyro_deg_per_h with q_reading ="
+        " 'psd'",
+        alternative_to="q_gyro_deg_per_h",
     )
-    q_accel_ug_per_sqrt_hz: Annotated[
-        vt.AccelNoise | None, KeyInfo(alternative_to="q_accel_ug", factor=1.0)
-    ] = Field(
-        None,
-        description="process noise density of velocity errors, ug/sqrt(Hz); alternative to"
-        " q_accel_ug with q_reading = 'psd'",
-    )
-    q_gyro_deg_per_h_per_sqrt_hz: Annotated[
-        vt.GyroNoise | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=1.0)
-    ] = Field(
-        None,
-        description="process noise density of misalignments, deg/h/sqrt(Hz); alternative to"
+    q_gyro_arw_deg_per_sqrt_h: vt.GyroWalk | None = field(
+        "angle random walk, a sixtieth of the number in deg/h/sqrt(Hz); alternative to"
         " q_gyro_deg_per_h with q_reading = 'psd'",
+        alternative_to="q_gyro_deg_per_h",
     )
-    q_gyro_arw_deg_per_sqrt_h: Annotated[
-        vt.GyroWalk | None, KeyInfo(alternative_to="q_gyro_deg_per_h", factor=60.0)
-    ] = Field(
-        None,
-        description="angle random walk, deg/sqrt(h), a sixtieth of the number in"
-        " deg/h/sqrt(Hz); alternative to q_gyro_deg_per_h with q_reading = 'psd'",
+    q_reading: Literal["psd", "per_sample", "per_step"] | None = field(
+        "units of the q_ keys, required with them. 'psd': data sheet densities. 'per_sample':"
+        " sigma of one sample. 'per_step': sigma added per filter step, as in paper 1; at 100 Hz a"
+        " hundred times that of 'per_sample'"
     )
-    q_reading: Literal["psd", "per_sample", "per_step"] | None = Field(
-        None,
-        description="units of the q_ keys, required with them. 'psd': data sheet densities."
-        " 'per_sample': sigma of one sample. 'per_step': sigma added per filter step, as"
-        " in paper 1; at 100 Hz a hundred times that of 'per_sample'",
+    r_velocity_m_per_s: vt.SpeedSigma | None = field(
+        "sigma r of the zero-velocity measurement; per sqrt(Hz) with r_reading = 'psd'. If"
+        " omitted, methods without [surge] add the surge density 2 s^2 T, s the larger of"
+        " surge_m_per_s east and north, T surge_time_s",
+        same_as=_DEFAULT_R,
     )
-    r_velocity_m_per_s: Annotated[vt.SpeedSigma | None, KeyInfo(same_as=_DEFAULT_R)] = Field(
-        None,
-        description="sigma r of the zero-velocity measurement, m/s; per sqrt(Hz) with r_reading ="
-        " 'psd'. If omitted, methods without [surge] add the surge density 2 s^2 T, s"
-        " the larger of surge_m_per_s east and north, T surge_time_s; default: 0.1",
-    )
-    r_reading: Literal["per_update", "psd"] = Field(
+    r_reading: Literal["per_update", "psd"] = field(
+        "'per_update': the variance R of an update is r squared. 'psd': r squared / sample time",
         "per_update",
-        description="'per_update': the variance R of an update is r squared. 'psd': r squared /"
-        " sample time",
     )
-    q_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on the variance Q; default 1"
-    )
-    r_scale: Annotated[vt.Factor | None, KeyInfo(same_as=1.0)] = Field(
-        None, description="factor on the variance R; default 1"
-    )
+    q_scale: vt.Factor | None = field("factor on the variance Q", same_as=1.0)
+    r_scale: vt.Factor | None = field("factor on the variance R", same_as=1.0)
 
 
 # Q and R
@@ -118,7 +104,7 @@ def gyro_noise_density(
     rate_hz: float, gyro_noise_deg_per_h: Any, gyro_arw_deg_per_sqrt_h: Any
 ) -> float | None:
     """Return the density of the noisiest gyro's white noise, deg/h/sqrt(Hz); see above."""
-    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, 60.0)
+    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, _SQRT_H)
 
 
 def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float) -> float | None:
@@ -245,83 +231,76 @@ class ResetsSection(Section):
         ),
     )
 
-    reset_trigger: Literal["none", "innovation", "linearisation"] | None = Field(
-        None,
-        description="score that triggers a reset above trigger_threshold, in addition to the"
-        " schedule, or 'none'. 'innovation': normalised squared sum of innovations in a"
-        " window. 'linearisation': heading knowledge in excess of a base at rest; default 'none'",
+    reset_trigger: Literal["none", "innovation", "linearisation"] | None = field(
+        "score that triggers a reset above trigger_threshold, in addition to the schedule, or"
+        " 'none'. 'innovation': normalised squared sum of innovations in a window. 'linearisation':"
+        " heading knowledge in excess of a base at rest",
+        otherwise="'none'",
     )
-    trigger_threshold: vt.NonNegative | None = Field(
-        None, description="score above which P is reset; required with a trigger"
+    trigger_threshold: vt.NonNegative | None = field(
+        "score above which P is reset; required with a trigger"
     )
-    trigger_window_s: Annotated[
-        vt.Seconds | None, KeyInfo(default=10.0, beside="reset_trigger")
-    ] = Field(None, description="window of 'innovation', s; default 10")
-    trigger_refractory_s: Annotated[
-        vt.SecondsOrZero | None, KeyInfo(default=5.0, beside="reset_trigger", time="s")
-    ] = Field(
-        None, description="shortest time from start or any reset to a triggered reset, s; default 5"
+    trigger_window_s: vt.Seconds | None = field(
+        "window of 'innovation'", default=10.0, beside="reset_trigger"
     )
-    trigger_most: Annotated[
-        Annotated[vt.Count, Field(ge=1)] | None, KeyInfo(default=10, beside="reset_trigger")
-    ] = Field(None, description="most triggered resets per run; default 10")
-    trigger_until_s: Annotated[vt.Seconds | None, KeyInfo(time="s")] = Field(
-        None, description="end of triggered resets, s; default: no limit"
+    trigger_refractory_s: vt.SecondsOrZero | None = field(
+        "shortest time from start or any reset to a triggered reset",
+        default=5.0,
+        beside="reset_trigger",
+        time="s",
     )
-    schedule: Literal["times", "none", "law", "trigger"] = Field(
+    trigger_most: Annotated[vt.Count, Field(ge=1)] | None = field(
+        "most triggered resets per run", default=10, beside="reset_trigger"
+    )
+    trigger_until_s: vt.Seconds | None = field(
+        "end of triggered resets", otherwise="no limit", time="s"
+    )
+    schedule: Literal["times", "none", "law", "trigger"] = field(
+        "'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets. 'law': from"
+        " Q, R, P0, latitude, feedback, sensors and surge, see the page reset_law. 'trigger':"
+        " reset_trigger alone, by default 'linearisation' with threshold 1.2",
         "times",
-        description="'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets."
-        " 'law': from Q, R, P0, latitude, feedback, sensors and surge, see the page reset_law."
-        " 'trigger': reset_trigger alone, by default 'linearisation' with threshold 1.2",
     )
-    heading_bound_deg: Annotated[vt.Positive, Field(lt=180), KeyInfo(usual_range=(1, 180))] = Field(
-        150.0, description="largest initial heading error that 'law' settles, deg"
+    heading_bound_deg: Annotated[vt.Positive, Field(lt=180)] = field(
+        "largest initial heading error that 'law' settles", 150.0, usual_range=(1, 180)
     )
-    settle_band_arcmin: vt.Band = Field(
-        10.0, description="heading error to which 'law' settles, arcmin"
+    settle_band_arcmin: vt.Band = field("heading error to which 'law' settles", 10.0)
+    reset_count: vt.Count | None = field("number of scheduled resets", default=0)
+    reset_cycle_s: vt.Seconds | None = field(
+        "interval of reset_count resets; not needed for one at reset_first_s"
     )
-    reset_count: Annotated[vt.Count | None, KeyInfo(default=0)] = Field(
-        None, description="number of scheduled resets; default 0"
+    reset_first_s: vt.Seconds | None = field(
+        "time of the first of reset_count resets", otherwise="the cycle"
     )
-    reset_cycle_s: vt.Seconds | None = Field(
-        None, description="interval of reset_count resets, s; not needed for one at reset_first_s"
+    reset_times_s: vt.Times | None = field(
+        "times of scheduled resets; alternative to reset_count", whole="sample", merged=True
     )
-    reset_first_s: vt.Seconds | None = Field(
-        None, description="time of the first of reset_count resets, s; default: the cycle"
-    )
-    reset_times_s: Annotated[vt.Times | None, KeyInfo(whole="sample", merged=True)] = Field(
-        None, description="times of scheduled resets, s; alternative to reset_count"
-    )
-    reset_at_feedback: bool = Field(
-        False, description="whether a reset waits for the next feedback"
-    )
-    reset_restarts_feedback: bool = Field(
-        False, description="whether a reset starts a feedback interval"
-    )
-    reset_kind: Literal["full", "yaw", "scale"] = Field(
+    reset_at_feedback: bool = field("whether a reset waits for the next feedback", False)
+    reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
+    reset_kind: Literal["full", "yaw", "scale"] = field(
+        "'full': variances become the values below, covariances zero. 'yaw': the same for heading"
+        " only. 'scale': P is multiplied by reset_scale",
         "full",
-        description="'full': variances become the values below, covariances zero. 'yaw': the same"
-        " for heading only. 'scale': P is multiplied by reset_scale",
     )
-    reset_scale: vt.Factor = Field(10.0, description="factor on P with 'scale'")
-    reset_velocity_m_per_s: Annotated[
-        vt.SpeedSigma | None, KeyInfo(same_as="p0_velocity_m_per_s")
-    ] = Field(
-        None,
-        description="sigma of velocity errors after a reset, m/s; default: P0, at least 1"
-        " m/s with 'law'",
+    reset_scale: vt.Factor = field("factor on P with 'scale'", 10.0)
+    reset_velocity_m_per_s: vt.SpeedSigma | None = field(
+        "sigma of velocity errors after a reset",
+        otherwise="P0, at least 1 m/s with 'law'",
+        same_as="p0_velocity_m_per_s",
     )
-    reset_level_deg: Annotated[vt.AngleSigma | None, KeyInfo(same_as="p0_level_deg")] = Field(
-        None, description="sigma of level errors after a reset, deg; default: P0"
+    reset_level_deg: vt.AngleSigma | None = field(
+        "sigma of level errors after a reset", otherwise="P0", same_as="p0_level_deg"
     )
-    reset_yaw_deg: Annotated[vt.HeadingSigma | None, KeyInfo(same_as="p0_yaw_deg")] = Field(
-        None, description="sigma of heading after a reset, deg; default: P0"
+    reset_yaw_deg: vt.HeadingSigma | None = field(
+        "sigma of heading after a reset", otherwise="P0", same_as="p0_yaw_deg"
     )
-    reset_gyro_bias_deg_per_h: Annotated[
-        vt.GyroSigma | None, KeyInfo(same_as="p0_gyro_bias_deg_per_h")
-    ] = Field(None, description="sigma of each gyro's bias after a reset, deg/h; default: P0")
-    reset_accel_bias_ug: Annotated[vt.AccelSigma | None, KeyInfo(same_as="p0_accel_bias_ug")] = (
-        Field(None, description="sigma of each accelerometer's bias after a reset, ug; default: P0")
+    reset_gyro_bias_deg_per_h: vt.GyroSigma | None = field(
+        "sigma of each gyro's bias after a reset", otherwise="P0", same_as="p0_gyro_bias_deg_per_h"
+    )
+    reset_accel_bias_ug: vt.AccelSigma | None = field(
+        "sigma of each accelerometer's bias after a reset",
+        otherwise="P0",
+        same_as="p0_accel_bias_ug",
     )
 
 
@@ -396,7 +375,7 @@ def check_trigger(study: StudyKeys) -> None:
         return
     if not any_trigger(study):
         for key in _TRIGGERED:
-            if study.place(key):
+            if study.given_in(key):
                 study.refuse(key, "requires a reset_trigger (give one, or drop this)")
     for point in study.combinations("reset_trigger", "trigger_threshold"):
         name, threshold = point["reset_trigger"], point["trigger_threshold"]
@@ -427,7 +406,7 @@ def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
             study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
         if (count or 0) > end_s * rate:
             study.refuse("reset_count", f"{count} resets are more than the samples of the run")
-        late = "reset_cycle_s" if study.place("reset_count") == "[resets]" else "reset_count"
+        late = "reset_cycle_s" if study.given_in("reset_count") == "[resets]" else "reset_count"
         late = late if cycle else "reset_first_s"
         colliding = "reset_cycle_s" if first is None else "reset_first_s"
         begin = "" if first is None else f" from {first:.12g} s"
@@ -464,14 +443,14 @@ _is_recorded = attrgetter("is_recorded")  # a simulation has the truth to be jud
 
 FILTER_COLUMNS = (
     OwnColumn(
-        Column("triggered_count", pa.int64(), "", "resets that the trigger called for"),
+        column("triggered_count", "resets that the trigger called for", pa.int64()),
         partial(_triggered, "count"),
         missing=0.0,
         applies_to=any_trigger,
     ),
     *(
         OwnColumn(
-            Column(f"triggered_{which}_s", pa.float64(), "s", meaning),
+            column(f"triggered_{which}_s", meaning),
             partial(_triggered, which),
             applies_to=any_trigger,
         )
@@ -481,10 +460,8 @@ FILTER_COLUMNS = (
         )
     ),
     OwnColumn(
-        Column(
+        column(
             "innovation_nis",
-            pa.float64(),
-            "",
             "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
         ),
         lambda results, rate_hz: (
@@ -493,9 +470,7 @@ FILTER_COLUMNS = (
         applies_to=_is_recorded,
     ),
     OwnColumn(
-        Column(
-            "innovation_freedom", pa.float64(), "", "degrees of freedom of their sum: 2 an update"
-        ),
+        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
         lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
         applies_to=_is_recorded,
     ),

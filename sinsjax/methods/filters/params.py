@@ -13,7 +13,7 @@ from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.filters.triggers import TriggerParams
 from sinsjax.methods.method import StudyKeys
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets
-from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
+from sinsjax.units import DEG, STANDARD_GRAVITY, si_factor
 from sinsjax.value_types import keys_of
 
 
@@ -23,23 +23,21 @@ class StateKind(NamedTuple):
     Attributes:
         name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
             reset; None if ``variance`` gives both.
-        unit: of both keys in SI; None for a micro-g.
         q: its process noise; None of a constant state.
     """
 
     name: str | None
-    unit: float | None
     q: ProcessNoise | None
     variance: float = 0.0
 
 
-VELOCITY = StateKind("velocity_m_per_s", 1.0, ACCEL_NOISE)
-LEVEL = StateKind("level_deg", DEG, GYRO_NOISE)
-HEADING = StateKind("yaw_deg", DEG, GYRO_NOISE)
-DIRECTION = StateKind(None, 1.0, GYRO_NOISE, variance=0.5)
+VELOCITY = StateKind("velocity_m_per_s", ACCEL_NOISE)
+LEVEL = StateKind("level_deg", GYRO_NOISE)
+HEADING = StateKind("yaw_deg", GYRO_NOISE)
+DIRECTION = StateKind(None, GYRO_NOISE, variance=0.5)
 """Sine or cosine of an unknown heading: all headings are equally likely."""
-ACCEL_BIAS = StateKind("accel_bias_ug", None, None)
-GYRO_BIAS = StateKind("gyro_bias_deg_per_h", DEG_PER_H, None)
+ACCEL_BIAS = StateKind("accel_bias_ug", None)
+GYRO_BIAS = StateKind("gyro_bias_deg_per_h", None)
 
 
 def filter_params(
@@ -53,18 +51,13 @@ def filter_params(
 
     def variances(when: str) -> list[Any]:
         return [
-            zero + kind.variance
-            if kind.name is None
-            else keys.column(f"{when}_{kind.name}", kind.unit or keys.micro_g) ** 2
+            zero + kind.variance if kind.name is None else keys.si(f"{when}_{kind.name}") ** 2
             for kind in states
         ]
 
     p0, after = variances("p0"), variances("reset")
     q_scale = keys.compute(lambda scale: 1.0 if scale is None else scale, "q_scale")
-    q = {
-        ACCEL_NOISE: _process_noise(keys, ACCEL_NOISE, keys.micro_g) * q_scale,
-        GYRO_NOISE: _process_noise(keys, GYRO_NOISE, DEG_PER_H) * q_scale,
-    }
+    q = {noise: _process_noise(keys, noise) * q_scale for noise in (ACCEL_NOISE, GYRO_NOISE)}
     reads_surge = keys.has("motion") and not models_surge
     of_r = keys_of(filter_keys.update_variance)[: None if reads_surge else 3]
     return FilterParams(
@@ -106,15 +99,15 @@ def level_settling_s(
     return (1 + bisect_left(longest, 100 * information_at_start, key=information)) * dt
 
 
-def _process_noise(keys: StudyKeys, noise: ProcessNoise, unit: float) -> Any:
+def _process_noise(keys: StudyKeys, noise: ProcessNoise) -> Any:
     """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
-    forms, readings = noise.forms, filter_keys.q_unit_factors(1 / keys.rate_hz)
-    given = next((form for form in forms if keys.common(form) is not None), None)
+    readings = filter_keys.q_unit_factors(1 / keys.rate_hz)
+    given = next((form for form in noise.forms if keys.common(form) is not None), None)
     if given is None:
         white = keys.compute(partial(noise.density, keys.rate_hz), *keys_of(noise.density))
-        return (white * unit) ** 2 * readings["psd"]
+        return (white * si_factor(noise.key, keys.micro_g)) ** 2 * readings["psd"]
     reading = keys.compute(readings.__getitem__, "q_reading")
-    return (keys.column(given, forms[given]) * unit) ** 2 * reading
+    return keys.si(given) ** 2 * reading
 
 
 def _trigger_params(keys: StudyKeys) -> TriggerParams | None:

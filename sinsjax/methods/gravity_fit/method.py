@@ -14,10 +14,8 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
-from pydantic import Field
 
-from sinsjax.columns import Column
+from sinsjax.columns import column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
@@ -25,7 +23,7 @@ from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
 from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
-from sinsjax.units import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, PPM
+from sinsjax.units import DEG_PER_H, si_factor
 from sinsjax.value_types import (
     AccelNoise,
     AccelSigma,
@@ -34,6 +32,7 @@ from sinsjax.value_types import (
     KeyInfo,
     NonNegative,
     Section,
+    field,
     keys_of,
 )
 
@@ -170,29 +169,28 @@ def build(options: method.Options) -> method.Program:
 
 
 def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
-    return Field(None, description=f"{meaning}; default: {default}")
+    return field(meaning, otherwise=default)
 
 
 class GravityFitSection(Section):
     """[gravity_fit]: assumed sensor errors; biases and noise are required with a record."""
 
-    fit_gyro_bias_deg_per_h: GyroSigma | None = _believed("1 sigma of each gyro's bias, deg/h")
+    fit_gyro_bias_deg_per_h: GyroSigma | None = _believed("1 sigma of each gyro's bias")
     fit_gyro_arw_deg_per_sqrt_h: GyroWalk | None = _believed(
-        "angle random walk of each gyro, deg/sqrt(h), above 0", "the white noise of [sensors]"
+        "angle random walk of each gyro, above 0", "the white noise of [sensors]"
     )
     fit_gyro_scale_ppm: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e6))] | None = _believed(
-        "1 sigma of each gyro's scale factor error, ppm"
+        "1 sigma of each gyro's scale factor error"
     )
     fit_gyro_misalignment_arcsec: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e5))] | None = (
-        _believed("1 sigma of each cross-axis error of the gyros, arcsec")
+        _believed("1 sigma of each cross-axis error of the gyros")
     )
     fit_lever_arm_m: Annotated[NonNegative, KeyInfo(usual_range=(0, 1e3))] | None = _believed(
-        "1 sigma per axis of the lever arm from the turn axis, m; 0 on the axis", "that of [motion]"
+        "1 sigma per axis of the lever arm from the turn axis; 0 on the axis", "that of [motion]"
     )
-    fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias, ug")
+    fit_accel_bias_ug: AccelSigma | None = _believed("1 sigma of each accelerometer's bias")
     fit_accel_vrw_ug_per_sqrt_hz: AccelNoise | None = _believed(
-        "velocity random walk of each accelerometer, ug/sqrt(Hz), above 0",
-        "the white noise of [sensors]",
+        "velocity random walk of each accelerometer, above 0", "the white noise of [sensors]"
     )
 
 
@@ -206,26 +204,27 @@ _NOISE = {
 def params(keys: method.StudyKeys, xp: Any) -> FitParams:
     """Return `FitParams`, leaves (variants,)."""
     # A record has no [sensors]: the rules require what it must give itself.
-    ug, zero, simulated = keys.micro_g, np.zeros(keys.count), keys.has("sensors")
+    zero, simulated = np.zeros(keys.count), keys.has("sensors")
 
-    def given_or(default: Any, key: str, unit: float) -> Any:
-        given = keys.column(key, unit)
+    def given_or(default: Any, key: str) -> Any:
+        given = keys.si(key)
         return np.where(np.isnan(given), default, given) if isinstance(given, np.ndarray) else given
 
-    def size(key: str, unit: float) -> Any:
-        return keys.rms(key) * unit if simulated else zero
+    def size(key: str) -> Any:
+        return keys.rms(key) * si_factor(key, keys.micro_g) if simulated else zero
 
-    def believed(key: str, unit: float) -> Any:
-        return given_or(size(key, unit), f"fit_{key}", unit)
+    def believed(key: str) -> Any:
+        return given_or(size(key), f"fit_{key}")
 
-    def white(key: str, unit: float, density_unit: float) -> Any:
+    def white(key: str) -> Any:
         density = _NOISE[key]
         own = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) if simulated else zero
-        return given_or(own * density_unit, key, unit)
+        per_sample = keys_of(density)[0]  # in the unit of the density but for sqrt(Hz)
+        return given_or(own * si_factor(per_sample, keys.micro_g), key)
 
-    def drifts(sensor: str, unit_name: str, unit: float) -> tuple[Drift, ...]:
-        variance = size(f"{sensor}_instability_{unit_name}", unit) ** 2
-        density = size(f"{sensor}_rrw_{unit_name}_per_sqrt_h", unit) ** 2 / 3600
+    def drifts(sensor: str, unit: str) -> tuple[Drift, ...]:
+        variance = size(f"{sensor}_instability_{unit}") ** 2
+        density = size(f"{sensor}_rrw_{unit}_per_sqrt_h") ** 2
         found = []
         if variance.any():
             found += [Drift(variance, 1 / keys.column(f"{sensor}_instability_time_s"), zero)]
@@ -233,22 +232,22 @@ def params(keys: method.StudyKeys, xp: Any) -> FitParams:
             found += [Drift(zero, zero, density)]
         return tuple(found)
 
-    scale, cross = believed("gyro_scale_ppm", PPM), believed("gyro_misalignment_arcsec", ARCSEC)
-    lever = believed("lever_arm_m", 1.0)
+    scale, cross = believed("gyro_scale_ppm"), believed("gyro_misalignment_arcsec")
+    lever = believed("lever_arm_m")
     # On a level base the reaction to gravity makes a bias of the axes' errors.
-    tilted = size("accel_misalignment_arcsec", ARCSEC) * keys.site.place.gravity
+    tilted = size("accel_misalignment_arcsec") * keys.site.place.gravity
     surge = keys.compute(level_surge, "surge_m_per_s") if simulated else zero
     has_scale = _is_given(scale) or _is_given(cross)
     return FitParams(
         noise=SensorNoise(
-            gyro=white("fit_gyro_arw_deg_per_sqrt_h", DEG_PER_SQRT_H, DEG_PER_H),
-            accel=white("fit_accel_vrw_ug_per_sqrt_hz", ug, ug),
-            gyro_drifts=drifts("gyro", "deg_per_h", DEG_PER_H),
-            accel_drifts=drifts("accel", "ug", ug),
+            gyro=white("fit_gyro_arw_deg_per_sqrt_h"),
+            accel=white("fit_accel_vrw_ug_per_sqrt_hz"),
+            gyro_drifts=drifts("gyro", "deg_per_h"),
+            accel_drifts=drifts("accel", "ug"),
             surge=Drift(surge**2, 1 / keys.column("surge_time_s"), zero) if surge.any() else None,
         ),
-        gyro_bias=believed("gyro_bias_deg_per_h", DEG_PER_H),
-        accel_bias=xp.hypot(believed("accel_bias_ug", ug), tilted),
+        gyro_bias=believed("gyro_bias_deg_per_h"),
+        accel_bias=xp.hypot(believed("accel_bias_ug"), tilted),
         scale_factor=scale if has_scale else None,
         cross_axis=cross if has_scale else None,
         lever_arm=lever if _is_given(lever) else None,
@@ -261,17 +260,18 @@ def _is_given(sigma: Any) -> bool:
 
 
 def _column(
-    name: str, meaning: str, unit: str = "", value: Callable[[Solution], Any] | None = None
+    name: str, meaning: str, value: Callable[[Solution], Any] | None = None
 ) -> method.OwnColumn:
-    column, read = Column(f"fit_{name}", pa.float64(), unit, meaning), value or attrgetter(name)
-    return method.OwnColumn(column, lambda results, rate_hz: np.asarray(read(results)))
+    read = value or attrgetter(name)
+    return method.OwnColumn(
+        column(f"fit_{name}", meaning), lambda results, rate_hz: np.asarray(read(results))
+    )
 
 
 def _bias_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_deg_per_h",
         f"gyro bias of the {name} axis by the fit",
-        "deg/h",
         lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
     )
 
@@ -280,7 +280,6 @@ def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
     return _column(
         f"gyro_bias_{name}_sigma_deg_per_h",
         "1 sigma of it",
-        "deg/h",
         lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
     )
 

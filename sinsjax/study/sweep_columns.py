@@ -1,4 +1,4 @@
-"""A study resolved into columns: the distinct values of its keys, and a code per variant.
+"""The columns of a sweep: the distinct values of its keys, and a code per variant.
 
 A sweep repeats few values many times. Functions of a value are therefore evaluated once for each
 distinct value, or each distinct combination, and expanded over the variants by NumPy.
@@ -35,6 +35,12 @@ class CodedColumn(NamedTuple):
         """Return the column of a function of the values."""
         return CodedColumn(self.codes, tuple(map(function, self.choices)))
 
+    def merged(self) -> "CodedColumn":
+        """Return the column with one code for equal choices."""
+        code_of = {choice: code for code, choice in enumerate(dict.fromkeys(self.choices))}
+        merged = np.array([code_of[choice] for choice in self.choices], np.int32)
+        return CodedColumn(merged[self.codes], tuple(code_of))
+
     def to_list(self) -> list[Any]:
         """Return the values, one per variant."""
         return list(map(self.choices.__getitem__, self.codes.tolist()))
@@ -45,7 +51,7 @@ def constant_column(count: int, value: Any) -> CodedColumn:
     return CodedColumn(np.zeros(count, np.int32), (value,))
 
 
-class ResolvedColumns:
+class SweepColumns:
     """The columns of a study, each computed at its first use."""
 
     def __init__(self, dimensions: Sequence[Dimension], constant: Callable[[str], Any]) -> None:
@@ -78,10 +84,8 @@ class ResolvedColumns:
         codes, choices = self.column(*inputs)
         points = [function(dict(zip(inputs, values, strict=True))) for values in choices]
         for key in keys:
-            values = [point[key] for point in points]
-            code_of = {value: code for code, value in enumerate(dict.fromkeys(values))}
-            places = np.array([code_of[value] for value in values], np.int32)
-            self._derived[(key,)] = CodedColumn(places[codes], tuple(code_of))
+            values = tuple(point[key] for point in points)
+            self._derived[(key,)] = CodedColumn(codes, values).merged()
         self._cache = {**self._derived}
 
     def column(self, *keys: str) -> CodedColumn:
@@ -99,10 +103,11 @@ class ResolvedColumns:
     def _single_column(self, key: str) -> CodedColumn:
         for dimension, repeats in zip(self._dimensions, self._repeats, strict=True):
             if key in dimension:
-                code_of = {value: code for code, value in enumerate(dict.fromkeys(dimension[key]))}
-                codes = np.array([code_of[value] for value in dimension[key]], np.int32)
-                repetitions = self.n_variants // (repeats * len(codes))
-                return CodedColumn(np.tile(np.repeat(codes, repeats), repetitions), tuple(code_of))
+                count = len(dimension[key])
+                once = CodedColumn(np.arange(count), dimension[key]).merged()
+                repetitions = self.n_variants // (repeats * count)
+                codes = np.tile(np.repeat(once.codes, repeats), repetitions)
+                return CodedColumn(codes, once.choices)
         return constant_column(self.n_variants, self._constant(key))
 
     def _joint_column(self, keys: Sequence[str]) -> CodedColumn:

@@ -1,0 +1,133 @@
+"""What a key means that a study, or one of its cases, leaves out.
+
+Most defaults are those of the fields. Those here depend on other keys, or on whether the study is
+recorded.
+"""
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, NamedTuple
+
+from sinsjax.methods.registry import METHODS, SECTIONS_OF_METHODS, unread_keys
+from sinsjax.study.keys import (
+    SECTION_OF,
+    SECTIONS,
+    SIMULATED_ONLY,
+    TomlTable,
+    alternative_keys,
+    leaf_info,
+)
+from sinsjax.study.schema import EARTH_CONSTANTS
+
+
+class GivenKeys(NamedTuple):
+    """The keys that a study gives, or one of its cases.
+
+    Attributes:
+        tables: sections by name.
+        varied: values of keys that the study varies; those of a case alone, or of all cases.
+    """
+
+    tables: TomlTable
+    varied: Mapping[str, Collection[Any]]
+
+    @property
+    def is_recorded(self) -> bool:
+        """Return whether the sensor data are those of a record."""
+        return "record" in self.tables
+
+    def gives(self, key: str) -> bool:
+        """Return whether a key is given, in its section or by what varies it."""
+        return key in self.varied or key in self.tables.get(SECTION_OF[key], ())
+
+    def words(self, key: str) -> set[Any]:
+        """Return the values of a key of words, or the default of its field."""
+        if key in self.varied:
+            return {*self.varied[key]}
+        default = SECTIONS[SECTION_OF[key]].model_fields[key].default
+        value = self.tables.get(SECTION_OF[key], {}).get(key, default)
+        return {value if isinstance(value, str) else default}  # others are refused later
+
+
+def _height(given: GivenKeys) -> float | None:
+    return None if given.is_recorded else 0.0
+
+
+def _feedback_interval(given: GivenKeys) -> float | None:
+    """Return the time between two samples, s; None until a valid rate is known."""
+    rate_hz = given.tables.get("study", {}).get("rate_hz")
+    known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
+    return 1 / rate_hz if known else None
+
+
+_WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
+_DEPENDENT: dict[str, Callable[[GivenKeys], Any]] = {
+    "height_m": _height,
+    "feedback_interval_s": _feedback_interval,
+    **dict.fromkeys(_WHITE_NOISE, lambda given: 0.0),
+}
+
+
+def dependent_default(key: str, given: GivenKeys) -> Any:
+    """Return the default of a key that its field does not have; None if it has none.
+
+    A key has no default beside an alternative to it. Some have none either where others give them.
+    """
+    info, others = leaf_info(key), alternative_keys(key)
+    if info.beside or key in ("feedback_interval_s", *_WHITE_NOISE):
+        others = {key, *others}
+    if any(map(given.gives, others)):
+        return None
+    if info.in_simulation is not None:
+        return None if given.is_recorded else info.in_simulation
+    if key in EARTH_CONSTANTS:
+        return EARTH_CONSTANTS[key]
+    if key in _DEPENDENT:
+        return _DEPENDENT[key](given)
+    applies = info.beside is None or given.words(info.beside) - {None, "none"}
+    return info.default if applies else None
+
+
+def filled_in(given: GivenKeys) -> dict[str, TomlTable]:
+    """Return the values of the keys that a study leaves out, by the sections that it has.
+
+    Keys that only other methods read, or other models of the Earth, stay without a value.
+    """
+    tables, varied_sections = given.tables, {SECTION_OF.get(key) for key in given.varied}
+    unread = unread_keys(given.words("method") & METHODS.keys())
+    if "constants" not in given.words("earth"):
+        unread |= EARTH_CONSTANTS.keys()
+    absent = SIMULATED_ONLY if given.is_recorded else ("record",)
+    optional = {"passes", "stop_when", "tune"} | (set() if given.is_recorded else {"coarse"})
+    found: dict[str, TomlTable] = {}
+    for name, section in SECTIONS.items():
+        keys, is_given = section.model_fields.keys(), name in varied_sections or tables.get(name)
+        is_idle = name in SECTIONS_OF_METHODS and keys <= unread
+        if name in absent or not is_given and (is_idle or name in optional - tables.keys()):
+            continue
+        if is_idle:  # complete, as if another variant read it
+            unread -= {*keys, "feedback_interval_s"}
+        found[name] = {}
+    for name, values in found.items():
+        for key in SECTIONS[name].model_fields.keys() - tables.get(name, {}).keys() - unread:
+            default = dependent_default(key, given) if SECTION_OF[key] == name else None
+            if default is not None:
+                values[key] = default
+    return found
+
+
+def without_defaults(tables: TomlTable, varied: Mapping[str, Collection[Any]]) -> TomlTable:
+    """Return the tables of a complete study without the defaults that depend on other keys."""
+    result = dict(tables)
+    for name in SECTIONS.keys() & tables.keys():
+        fields, values, kept = SECTIONS[name].model_fields, tables[name], dict(tables[name])
+        for key in fields.keys() & values.keys():
+            others = {other: value for other, value in values.items() if other != key}
+            default = None
+            if SECTION_OF[key] == name:
+                default = dependent_default(key, GivenKeys(tables | {name: others}, varied))
+            if default is None and (fields[key].default_factory or name in SECTIONS_OF_METHODS):
+                default = fields[key].get_default(call_default_factory=True, validated_data=values)
+            if default is not None and kept[key] == default:
+                del kept[key]
+        result[name] = kept
+    return result
