@@ -24,7 +24,6 @@ from support.studies import small_study, with_paper_values
 
 import sinsjax
 from sinsjax import InputError, load_study, study_from_dict
-from sinsjax.messages import CONTROL
 from sinsjax.study import files
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml, with_rate
@@ -34,22 +33,14 @@ FULL = """
 name = "example"
 duration_s = 900.0
 rate_hz = 100.0
-draws = 8
 settle_bands_arcmin = [60, 10, 3]
-window_s = [600, 900]
-curves = false
 [earth]
-earth = "constants"
-gravity_m_per_s2 = 9.8
 latitude_deg = 32.0
 [motion]
-pitch_amplitude_deg = 1.8
-pitch_period_s = 6.0
 yaw_center_deg = 20
 [sensors]
 gyro_bias_deg_per_h = [0.1, 0, -0.1]
 gyro_arw_deg_per_sqrt_h = 0.01
-accel_bias_ug = 500
 accel_noise_ug = 500.0
 [alignment]
 method = "kalman10"
@@ -112,7 +103,6 @@ def test_recorded_study_has_one_draw_per_start_time():
 def test_record_may_supply_sample_rate():
     study = study_from_dict(with_paper_values(RECORDED | {"study": {"duration_s": 300.0}}))
     assert not study.study.rate_hz
-    assert with_rate(study, 199.8).study.rate_hz == 199.8
     assert fingerprint(with_rate(study, 100.0)) == fingerprint(build_study(RECORDED))
     with pytest.raises(InputError, match=r"\[study\] rate_hz: required"):
         study_from_dict({"study": {"duration_s": 300.0}, "record": TABULAR})
@@ -148,24 +138,6 @@ def test_sections_and_defaults_depend_on_methods():
     assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
 
 
-@pytest.mark.parametrize(
-    ("passes", "spans"),
-    [
-        # Record intervals in the run and in a pass, of 900.
-        ({}, (900, 900)),
-        ({"stored_s": 80}, (900, 80)),
-        ({"stored_s": 80, "passes": 3}, (240, 80)),
-        ({"stored_s": 80, "ending": "forward"}, (880, 80)),
-        ({"stored_s": 100, "ending": "forward"}, (900, 100)),
-        ({"stored_s": 90, "ending": "forward", "direction": "rewind"}, (900, 90)),
-        ({"stored_s": 80, "passes": 4, "ending": "forward", "direction": "rewind"}, (320, 80)),
-    ],
-)
-def test_run_and_pass_lengths_follow_passes_settings(passes, spans):
-    (span,) = build_study(study={"window_s": [0, 200]}, passes=passes).spans
-    assert (span.records, span.pass_records, span.rewinds) == (*spans, "direction" in passes)
-
-
 def test_run_ends_at_last_whole_record_interval():
     partial = {"duration_s": 900.5, "window_s": [600, 900]}
     study = build_study(study=partial, resets={"reset_times_s": [900]})
@@ -182,21 +154,15 @@ SWEPT = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s",
 def sweeps(draw: st.DrawFn) -> tuple[list[dict], list[dict], dict]:
     """Cases, zips and axes over some of the keys, with values that repeat within a zip or case."""
     keys = draw(st.permutations(SWEPT))
-    sizes = draw(st.lists(st.integers(0, 2), min_size=3, max_size=3))
-    cuts = list(itertools.accumulate([0, *sizes]))
-    joint = [keys[a:b] for a, b in itertools.pairwise(cuts)]
-    rows = [
-        draw(st.lists(st.tuples(*[st.integers(0, 2)] * len(some)), min_size=1, unique=True))
-        for some in joint
-    ]
+    cuts = [0, *itertools.accumulate(draw(st.integers(0, 2)) for _ in range(3))]
     cases, *zips = (
-        [dict(zip(some, row, strict=True)) for row in table] if some else []
-        for some, table in zip(joint, rows, strict=True)
-    )
-    alone = draw(st.lists(st.sampled_from(keys[cuts[-1] :] or ["roll_phase_deg"]), unique=True))
-    axes = {
-        key: draw(st.lists(st.integers(0, 9), min_size=1, max_size=3, unique=True)) for key in alone
-    }
+        [dict(zip(some, row, strict=True)) for row in draw(st.lists(
+            st.tuples(*[st.integers(0, 2)] * len(some)), min_size=bool(some), unique=True,
+            max_size=9 * bool(some)))]
+        for some in (keys[a:b] for a, b in itertools.pairwise(cuts))
+    )  # fmt: skip
+    values = st.lists(st.integers(0, 9), min_size=1, max_size=3, unique=True)
+    axes = {key: draw(values) for key in keys[cuts[-1] :] if draw(st.booleans())}
     return cases, [table for table in zips if table], axes
 
 
@@ -227,30 +193,22 @@ def test_variants_are_numbered_like_itertools_product(sweep, data):
     assert set(found) == met and len(found) == len(met)
 
 
-def test_values_list_swept_and_constant_keys_per_variant():
+def test_values_are_those_of_each_variant():
     study = study_from_dict(tomllib.loads(FULL))
     assert study.axis_keys == ("case", "phi_u0_deg", "reset_count", "misalignment")
     assert study.values("phi_u0_deg") == [0.0] * 6 + [30.0] * 6
     assert study.values("phi_e0_deg") == [5.0] * 12
-    assert study.values("reset_count") == [0, 0, 1, 1, 2, 2] * 2
     for key in ("start_s", "seed", "nonsense"):
         with pytest.raises(KeyError):
             study.values(key)
-    with pytest.raises(KeyError):
-        build_study(RECORDED).values("gyro_bias_deg_per_h")
-
-
-def test_required_keys_may_be_swept():
-    data = merge_tables(SIMULATED, axes={"latitude_deg": [0, 80], "yaw_center_deg": [0, 90]})
-    del data["earth"], data["motion"]
-    study = study_from_dict(with_paper_values(data))
-    assert study.values("latitude_deg") == [0.0, 0.0, 80.0, 80.0]
-    assert study_from_dict(study.to_dict()) == study
+    # A required key may be swept alone.
+    data = {"study": SIMULATED["study"], "motion": SIMULATED["motion"]}
+    study = build_study(data, axes={"latitude_deg": [0, 80]})
+    assert study.values("latitude_deg") == [0.0, 80.0]
+    assert study_from_dict(study.to_dict()).axes == study.axes
 
 
 # Files
-
-REST = "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20\n[alignment]\nmethod = 'inertial'"
 
 
 @pytest.mark.parametrize(
@@ -260,10 +218,9 @@ REST = "[earth]\nlatitude_deg = 32\n[motion]\nyaw_center_deg = 20\n[alignment]\n
         ("\udcff\udcfe", "UTF-8"),
         ("[study]\nname = \nseed = 1", "line 2"),
         ("[study]\nseed = " + "9" * 5000, "TOML"),
-        (f"[study]\nduration_s = nan\nrate_hz = 100\n{REST}", "[study] duration_s: nan"),
-        (f'[study]\nduration_s = 60\nrate_hz = 100\n"a\\nb" = 1\n{REST}', "[study] a b:"),
+        ("[study]\nduration_s = 60\nrate_hz = 100\n'a\\nb' = 1", r"[study] a\nb"),
     ],
-    ids=["missing", "no text", "no value", "digits", "value", "key of two lines"],
+    ids=["missing", "no text", "no value", "digits", "key of two lines"],
 )
 def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
     path = tmp_path / "s.toml"
@@ -271,8 +228,8 @@ def test_unusable_file_is_refused_by_its_name(content, named, tmp_path):
         path.write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(InputError) as caught:
         load_study(path)
-    place, _, words = named.rpartition(":")
-    assert_named(str(caught.value), f"{path}: {place}" if place else f"{path}", *words.split())
+    (line,) = caught.value.lines
+    assert line.startswith(f"{path}: ") and named in line and "\n" not in line
 
 
 def test_study_is_loaded_from_name_path_or_study(tmp_path, monkeypatch):
@@ -344,30 +301,6 @@ def test_resolved_study_reloads_equal(data, tmp_path):
     assert fingerprint(again) == fingerprint(study)
 
 
-angles = st.floats(-180, 180)
-sizes = st.floats(1e-300, 1e12) | st.integers(1, 10**6)
-letters = st.characters(codec="utf-8").filter(lambda letter: not CONTROL.search(letter))
-
-
-@given(
-    duration=st.floats(10, 1e6),
-    phi=st.lists(angles, min_size=1, max_size=4, unique=True),
-    bias=st.floats(-1e12, 1e12) | st.tuples(angles, angles, angles),
-    p0=sizes,
-    name=st.text(letters, min_size=1),
-    methods=st.permutations(["kalman5", "kalman10", "compass"]),
-)
-def test_random_resolved_study_reloads_equal(duration, phi, bias, p0, name, methods):
-    study = build_study(
-        study={"duration_s": duration, "name": name, "unchecked": True},
-        sensors={"gyro_bias_deg_per_h": bias},
-        filter={"p0_yaw_deg": p0},
-        axes={"phi_u0_deg": phi, "method": methods},
-    )
-    again = study_from_dict(tomllib.loads(study_to_toml(study)))
-    assert again == study and fingerprint(again) == fingerprint(study)
-
-
 # Fingerprint
 
 
@@ -401,6 +334,7 @@ def test_fingerprint_changes_with_any_value():
         dict(reversed(DRAWN.items())),
         {"phi_u0_deg": {"values": [0]}},
     ]
+    level = {"phi_u0_deg": [0, 1]}, {"phi_e0_deg": [0, 1]}
     other: list[dict[str, Any]] = [
         {},
         {"earth": {"latitude_deg": 32.000001}},
@@ -408,16 +342,14 @@ def test_fingerprint_changes_with_any_value():
         {"axes": {"reset_count": [1, 0]}},
         *({"cases": [{"case": "a", "phi_u0_deg": value}]} for value in (30, 31)),
         *({"drawn": table} for table in drawn),
-        *({"axes": axes} for axes in (
-            {"a": {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]}},
-            {"a": {"phi_u0_deg": [0, 1]}, "b": {"phi_e0_deg": [0, 1]}},
-            {"b": {"phi_e0_deg": [0, 1]}, "a": {"phi_u0_deg": [0, 1]}},
-            {"phi_u0_deg": [0, 1], "phi_e0_deg": [0, 1]},
-        )),
-        *({"resets": {"reset_first_s": value}} for value in (25, 26)),
-        *({"stop_when": {"statistic": "success_rate", "half_width": x}} for x in (0.02, 0.03)),
-        {"stop_when": {"statistic": "settle_60_s_mean", "half_width": 0.03}},
-    ]  # fmt: skip
+        {"axes": {"a": level[0] | level[1]}},
+        {"axes": {"a": level[0], "b": level[1]}},
+        {"axes": {"b": level[1], "a": level[0]}},
+        {"axes": level[0] | level[1]},
+        {"resets": {"reset_first_s": 25}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.02}},
+        {"stop_when": {"statistic": "success_rate", "half_width": 0.03}},
+    ]
     studies = [build_study(base, **tables) for tables in other]
     studies += [build_study(base | {"axes": reversed_keys(axes)})]  # which numbers the variants
     assert len({*map(fingerprint, studies)}) == len(studies)

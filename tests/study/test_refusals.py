@@ -3,7 +3,6 @@
 The places of the faults in tests/golden/bad_studies.toml are not repeated here.
 """
 
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
