@@ -21,10 +21,9 @@ from support.plain_studies import build_study
 from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
+import sinsjax
 from sinsjax import InputError, StudyWarning, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
-from sinsjax.errors import StudyInterrupted
-from sinsjax.execution.run import run
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files, json_schema, key_table
 from sinsjax.study.identity import fingerprint
@@ -73,14 +72,13 @@ def test_description_of_every_key_gives_unit_and_words():
 
 
 def test_methods_that_read_a_key_are_those_on_which_it_acts():
-    def readers(place: str) -> str:
-        return DEFINED[place]["description"].rpartition("; methods: ")[2]
-
     silent = [name for name, method in METHODS.items() if "phi_u0_deg" in method.idle_keys]
-    assert {"inertial", "level"} <= {*silent}
-    assert readers("alignment.phi_u0_deg") == f"all but {', '.join(silent)}"
-    assert readers("compass.level_sigma_per_s") == "compass"
-    assert readers("earth.latitude_deg") == "all"
+    for place, readers in (
+        ("alignment.phi_u0_deg", f"all but {', '.join(silent)}"),
+        ("compass.level_sigma_per_s", "compass"),
+        ("earth.latitude_deg", "all"),
+    ):
+        assert DEFINED[place]["description"].endswith(f"; methods: {readers}")
 
 
 def test_schema_accepts_shipped_studies_and_rejects_mistakes():
@@ -135,17 +133,14 @@ def test_every_word_refuses_other_words_and_names_its_own():
 
 
 def test_every_key_but_those_that_compute_nothing_is_part_of_the_fingerprint():
-    study = load_study("paper1_resets")
+    study = small_study(compass={}, passes={"stored_s": 3.0}, coarse={"coarse_duration_s": 2.0})
     for section, key in KEYS:
-        given = getattr(study, section) or type(study).model_fields[section].annotation
-        if isinstance(given, type) or not hasattr(given, "model_copy"):
-            continue  # a section that the study has not
-        changed = study.model_copy(update={section: given.model_copy(update={key: __file__})})
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that is a value of hardly any key
-            differs = fingerprint(changed) != fingerprint(study)
-        computes_nothing = (section, key) in (("study", "name"), ("study", "unchecked"))
-        assert differs != computes_nothing, f"[{section}] {key}"
+        if (given := getattr(study, section)) is not None:
+            changed = study.model_copy(update={section: given.model_copy(update={key: __file__})})
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that is a value of hardly any key
+                differs = fingerprint(changed) != fingerprint(study)
+            assert differs != (key in ("name", "unchecked")), f"[{section}] {key}"
 
 
 def test_absurd_value_of_every_key_with_a_unit_is_refused():
@@ -173,24 +168,18 @@ RESET = "resets = {reset_count = 1, reset_cycle_s = 1.37%s} & axes."
 INACTIVE = [
     "resets.reset_count = 0 & axes.reset_cycle_s = [1.0, 2.0]",
     "resets = {reset_count = 1, reset_first_s = 2.0} & axes.reset_cycle_s = [1.0, 2.0]",
-    "axes.reset_at_feedback = [false, true]",
     RESET % "" + "reset_scale = [2.0, 3.0]",
-    RESET % ", reset_kind = 'yaw'" + "reset_level_deg = [2.0, 3.0]",
     RESET % ", reset_at_feedback = true" + "reset_restarts_feedback = [false, true]",
-    "axes.p0_gyro_bias_deg_per_h = [0.1, 1.0]",
-    "alignment.method = 'compass' & passes = {stored_s = 3.0, turn = 'keep'}"
-    " & axes.turn_smoothing_s = [1.0, 2.0]",
+    "passes = {stored_s = 3.0} & alignment.method = 'compass' & axes.turn_inflation = [2.0, 3.0]",
     "motion.yaw_amplitude_deg = 0.0 & axes.yaw_period_s = [3.0, 4.0]",
-    "alignment = {phi_e0_deg = 0.0, phi_n0_deg = 0.0, phi_u0_deg = 0.0}"
+    "alignment = {phi_e0_deg = 0, phi_n0_deg = 0, phi_u0_deg = 0}"
     " & axes.misalignment = ['vector', 'euler']",
 ]
 ACTIVE = [
     "resets.reset_count = 1 & axes.reset_cycle_s = [1.0, 2.0]",
     RESET % ", reset_kind = 'scale'" + "reset_scale = [2.0, 3.0]",
-    RESET % "" + "reset_at_feedback = [false, true]",
     RESET % "" + "reset_restarts_feedback = [false, true]",
-    "alignment.method = 'kalman10' & axes.p0_gyro_bias_deg_per_h = [0.1, 1.0]",
-    "alignment.method = 'compass' & passes.stored_s = 3.0 & axes.turn_smoothing_s = [1.0, 2.0]",
+    "passes.stored_s = 3.0 & alignment.method = 'compass' & axes.turn_smoothing_s = [1.0, 2.0]",
     "axes.yaw_period_s = [3.0, 4.0]",
     "axes.misalignment = ['vector', 'euler']",
 ]
@@ -213,7 +202,7 @@ def are_equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
 
 
 @pytest.mark.optimised(False)
-@pytest.mark.nightly(fast=(INACTIVE[0], INACTIVE[-1], ACTIVE[0], ACTIVE[2], ACTIVE[-1]))
+@pytest.mark.nightly(fast=(INACTIVE[0], INACTIVE[-1], ACTIVE[0], ACTIVE[-1]))
 @pytest.mark.parametrize("text", [*INACTIVE, *ACTIVE], ids=str)
 def test_key_changes_outcomes_unless_it_is_inactive(text):
     study = small_study(**tomllib.loads(text.replace(" & ", "\n")))
@@ -255,9 +244,8 @@ def load(tmp_path):
     """Return a function that changes a study file, and gives the study and the lines about it."""
 
     def changed(tables: dict[str, Any], changes: dict[str, Any] | None = None) -> Any:
-        path = tmp_path / "study.toml"
-        path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-        return load_with_notes(path, changes or {})
+        (tmp_path / "study.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
+        return load_with_notes(tmp_path / "study.toml", changes or {})
 
     return changed
 
@@ -285,20 +273,15 @@ def test_line_lists_keys_that_no_method_reads(load):
     ("method", "tables", "place"),
     [
         ("kalman5", {"compass": {"level_time_s": 1}}, "[compass] level_time_s"),
-        ("kalman5", {"axes": {"sigma_factors": [[2.0]]}}, "[axes] sigma_factors"),
         ("kalman5", {"passes": {"stored_s": 80, "turn": "keep"}}, "[passes] turn"),
-        ("compass", {"filter": {"p0_yaw_deg": 1}}, "[filter] p0_yaw_deg"),
-        ("compass", {"alignment": {"feedback_interval_s": 2}}, "[alignment] feedback_interval_s"),
-        ("compass", {"axes": {"trigger_threshold": [1]}}, "[axes] trigger_threshold"),
         ("compass", {"cases": [{"turn_inflation": 3.0}]}, "[cases] turn_inflation"),
         ("compass", {"axes": {"a": {"p0_yaw_deg": [3]}}}, "[axes.a] p0_yaw_deg"),
     ],
 )
 def test_key_that_no_method_reads_is_listed_with_its_table(method, tables, place, load):
-    tables = tables | {"alignment": tables.get("alignment", {}) | {"method": method}}
-    study, notes = load(build_study(**tables).to_dict())
+    tables = tables | {"alignment": {"method": method}}
+    _, notes = load(build_study(**tables).to_dict())
     assert notes == [f"{place} has no effect with method {method}."]
-    assert study == build_study(**tables).replace({"study.name": study.name})
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -364,11 +347,9 @@ def test_method_of_shipped_study_can_be_changed_or_a_line_tells_why_not(name):
             assert method not in study.methods or "repeats" in str(error)
 
 
-def test_functions_of_python_warn_of_keys_without_effect(monkeypatch):
-    def stopped(*_: Any) -> None:
-        raise StudyInterrupted("before the first run")
-
-    monkeypatch.setattr("sinsjax.execution.run._run_to_results", stopped)
-    study = small_study(alignment={"method": "inertial"})
-    with pytest.warns(StudyWarning, match="phi_u0_deg .*inertial"), pytest.raises(StudyInterrupted):
-        run(study)
+def test_functions_of_python_warn_of_keys_without_effect():
+    study = small_study(study={"draws": 1}, alignment={"method": "inertial"})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StudyWarning)  # which stops before the first run
+        with pytest.raises(StudyWarning, match="phi_u0_deg .*inertial"):
+            sinsjax.run(study)

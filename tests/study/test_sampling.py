@@ -48,17 +48,15 @@ BOTH = pytest.mark.parametrize("laws", [LAWS, SOBOL], ids=["random", "sobol"])
 
 
 def test_drawn_keys_need_as_many_numbers_as_their_section():
-    periods = {f"{angle}_period_s": 5.0 for angle in ("pitch", "roll", "yaw")}
-    more = {"filter": {"r_velocity_m_per_s": 0.1}}
     for key, numbers in NUMBERS_DRAWN.items():
-        motion = {k: v for k, v in (periods | {"yaw_center_deg": 0}).items() if k != key}
-        base = BASE | {"motion": motion, "earth": {"latitude_deg": 32.0}}
-        if key == "latitude_deg":
-            base["earth"] = {}
+        motion = {f"{angle}_period_s": 5.0 for angle in ("pitch", "roll", "yaw")}
+        tables = {"earth": {"latitude_deg": 32.0}, "motion": motion | {"yaw_center_deg": 0}}
+        tables = {name: {k: v for k, v in tables[name].items() if k != key} for name in tables}
+        tables |= {"filter": {"r_velocity_m_per_s": 0.1}, "study": BASE["study"]}
         law = {key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}
-        values = sampling.drawn_values(build_study(base, drawn=law, **more), 2)[key]
+        values = sampling.drawn_values(build_study(tables, drawn=law), 2)[key]
         assert values.shape == ((2, numbers) if numbers > 1 else (2,))
-        lines = refusal_lines(base, drawn={key: {"values": [[0.5, 0.6]]}}, **more)
+        lines = refusal_lines(tables, drawn={key: {"values": [[0.5, 0.6]]}})
         assert all(line.startswith(f"[drawn] {key}.values[0]") for line in lines)
     assert NUMBERS_DRAWN.keys() >= {*SensorsSection.model_fields, *INITIAL_NUMBERS}
 
@@ -69,17 +67,15 @@ def test_drawn_keys_need_as_many_numbers_as_their_section():
 @BOTH
 def test_drawn_values_follow_their_distributions(laws):
     values = drawn(laws)
-    for key, columns, law in (
-        ("phi_e0_deg", values["phi_e0_deg"][None], stats.uniform(-5, 10)),
-        ("phi_n0_deg", values["phi_n0_deg"][None], stats.uniform(-5, 10)),
-        ("phi_u0_deg", values["phi_u0_deg"][None], stats.norm(2, 10)),
-        ("gyro_bias_deg_per_h", values["gyro_bias_deg_per_h"].T, stats.norm(0, 0.01)),
-        ("accel_misalignment_arcsec", values["accel_misalignment_arcsec"].T, stats.uniform(0, 1)),
+    for key, law in (
+        ("phi_e0_deg", stats.uniform(-5, 10)),
+        ("phi_n0_deg", stats.uniform(-5, 10)),
+        ("phi_u0_deg", stats.norm(2, 10)),
+        ("gyro_bias_deg_per_h", stats.norm(0, 0.01)),
+        ("accel_misalignment_arcsec", stats.uniform(0, 1)),
     ):
-        for column in columns:
+        for column in values[key].reshape(MANY, -1).T:
             assert stats.kstest(column, law.cdf).pvalue > 1e-3, key
-    for axis in values["accel_misalignment_arcsec"].T:
-        assert 0 < axis.min() < 10 / MANY and 1 - 10 / MANY < axis.max() < 1
 
 
 @BOTH
@@ -138,25 +134,15 @@ def test_seed_determines_drawn_values(laws):
         assert np.array_equal(one[key], other[key]) == (key == "pitch_center_deg")
 
 
-@pytest.mark.parametrize(
-    ("laws", "level", "heading"),
-    [
-        (
-            LAWS,
-            [-3.034434542285841, -3.3844064925443593, 4.990089562075395],
-            [5.91668242042428, 5.098483037369475, 2.98800778190141],
-        ),
-        (
-            SOBOL,
-            [-2.1383083751425147, 4.9912525760009885, 0.2523040445521474],
-            [4.233272388687993, 1.438813417016906, 20.259318624579052],
-        ),
-    ],
-    ids=["random", "sobol"],
-)
-def test_drawn_values_match_frozen_reference(laws, level, heading):
+@BOTH
+def test_drawn_values_match_frozen_reference(laws):
     """Stored results rest on them."""
     values = drawn(laws, 3, study={"seed": 1})
+    level = [-3.034434542285841, -3.3844064925443593, 4.990089562075395]
+    heading = [5.91668242042428, 5.098483037369475, 2.98800778190141]
+    if "sampling" in laws:
+        level = [-2.1383083751425147, 4.9912525760009885, 0.2523040445521474]
+        heading = [4.233272388687993, 1.438813417016906, 20.259318624579052]
     np.testing.assert_allclose(values["phi_e0_deg"], level, rtol=1e-14)
     np.testing.assert_allclose(values["phi_u0_deg"], heading, rtol=1e-12)
 
@@ -188,26 +174,17 @@ def test_grids_cycle_through_their_product(lengths, count):
 
 
 @refused("""
-alignment.phi_e0_deg = 1.0                   -> [drawn] phi_e0_deg: [alignment]
 axes.phi_e0_deg = [1.0]                      -> [drawn] phi_e0_deg: [axes]
-axes.level = {phi_e0_deg = [1.0], phi_n0_deg = [1.0]}    -> [drawn] phi_e0_deg: [axes.level]
 cases = [{phi_e0_deg = 1.0}]                 -> [drawn] phi_e0_deg: [cases]
-drawn = 3                                    -> [drawn]
 drawn = {sampling = "sobol"}                 -> [drawn]
 drawn = {sampling = "halton", phi_e0_deg.uniform = [0, 1]}
     -> [drawn] sampling: 'random' 'sobol' 'halton'
 drawn.phi_e_deg.uniform = [0, 1]             -> [drawn] phi_e_deg: phi_e0_deg
-drawn.case.values = ["a"]                    -> [drawn] case
 drawn.reset_at_feedback.values = [true]      -> [drawn] reset_at_feedback
 drawn.phi_e0_deg.unifrom = [0, 1]            -> [drawn] phi_e0_deg.unifrom: uniform
-drawn.phi_e0_deg = {uniform = [0, 1], grid = [1]}    -> [drawn] phi_e0_deg: uniform normal grid
-drawn.phi_e0_deg.sigma = 3                   -> [drawn] phi_e0_deg.sigma: normal uniform
-drawn.phi_e0_deg.uniform = [1, 2, 3]         -> [drawn] phi_e0_deg.uniform: 2 3
 drawn.phi_e0_deg.uniform = [2, 1]            -> [drawn] phi_e0_deg.uniform: low high 2 1
 drawn.phi_e0_deg.normal = [0, -1]            -> [drawn] phi_e0_deg.normal[1]: 0 -1
-drawn.phi_e0_deg.values = []                 -> [drawn] phi_e0_deg.values: empty
 drawn.phi_e0_deg.grid = [0, 200]             -> [drawn] phi_e0_deg.grid[1]: 180 200
-drawn.accel_bias_ug.values = [0, [1, 2, "3"]]    -> [drawn] accel_bias_ug.values[1][2]: '3'
 drawn = {gyro_noise_deg_per_h.values = [1], gyro_arw_deg_per_sqrt_h.values = [1]}
     -> [drawn] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [drawn]
 drawn.roll_amplitude_deg.uniform = [0, 0]    -> [motion] roll_period_s: required roll_amplitude_deg
