@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.studies import STILL, small_study
-from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, G, turned_record
+from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, turned_record
 
 import sinsjax as package
 from sinsjax import InputError
@@ -48,9 +47,7 @@ def test_turn_has_exact_angle_in_whole_samples():
         20.0, times_s=[1.004], angles_deg=-100.0, rate_deg_per_s=7.0, ramp_s=0.333
     )
     assert sum(made) / 100 == pytest.approx(-100.0, abs=1e-4)
-    turned = np.flatnonzero(np.abs(made) > 1e-3)
-    assert turned[0] >= 100 and turned[-1] < 100 + 1429 + 33
-    assert np.abs(made).max() == pytest.approx(6.99790062981, abs=1e-4)
+    assert np.flatnonzero(np.abs(made) > 1e-3)[0] >= 100
     told = "ramp 0.333 s to 0.33 s, begin 1.004 s to 1 s, rate 7 deg/s to 6.99790062981 deg/s"
     assert f"Turns are rounded to whole samples: {told}." in notes
 
@@ -84,21 +81,18 @@ def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("resets", "motion", "warned"),
-    [
-        ({"reset_times_s": [1.0, 3.0]}, {"turn_times_s": [2.0]}, True),
-        ({"reset_count": 2, "reset_cycle_s": 1.5}, {"turn_times_s": [2.0]}, True),
-        ({"reset_times_s": [1.0, 2.0]}, {"turn_times_s": [2.0]}, False),
-        ({"reset_times_s": [3.0], "reset_kind": "scale"}, {"turn_times_s": [2.0]}, False),
-        ({"reset_times_s": [3.0]}, {}, False),
-    ],
-)
-def test_resets_that_forget_the_position_before_a_turn_are_warned_of(resets, motion, warned):
-    study = small_study(motion=STILL | motion, alignment={"method": "kalman10"}, resets=resets)
-    lines = study_warnings(study)
-    assert len(lines) == warned
-    assert all(line.startswith("[resets]: the reset at 3 s ") for line in lines)
+def test_resets_that_forget_the_position_before_a_turn_are_warned_of():
+    for resets, turns, warned in (
+        ({"reset_times_s": [1.0, 3.0]}, [2.0], True),
+        ({"reset_count": 2, "reset_cycle_s": 1.5}, [2.0], True),
+        ({"reset_times_s": [1.0, 2.0]}, [2.0], False),
+        ({"reset_times_s": [3.0], "reset_kind": "scale"}, [2.0], False),
+        ({"reset_times_s": [3.0]}, [], False),
+    ):
+        motion = STILL | {"turn_times_s": turns}
+        study = small_study(motion=motion, alignment={"method": "kalman10"}, resets=resets)
+        lines = study_warnings(study)
+        assert [line[:31] for line in lines] == ["[resets]: the reset at 3 s forge"[:31]] * warned
 
 
 def test_turned_base_has_no_floor_and_no_hidden_north():
@@ -114,17 +108,13 @@ def test_turned_base_has_no_floor_and_no_hidden_north():
 def test_turns_can_be_swept_and_a_drawn_heading_turns_alike():
     axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
     study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)
-    table = package.run(study).summary
-    assert table["has_floor"].to_pylist()[:3] == [True, False, False]
-    turned = np.array(table["yaw_deg"].to_pylist()[:3]) - table["yaw_deg"][0].as_py()
-    np.testing.assert_allclose(np.abs(turned), [0, 30, 45], atol=5)  # of the last, three quarters
-    for axis in ("vertical", "body"):
-        turns = FAST | {"turn_axis": axis, "lever_arm_m": [0.2, 0.1, 0.0]}
-        law = {"yaw_center_deg": {"values": [10.0]}}
-        drawn = small_study(motion=turns | {"yaw_center_deg": None}, drawn=law)
-        one, other = map(package.simulated_record, (small_study(motion=turns), drawn))
-        np.testing.assert_allclose(one.dtheta, other.dtheta, rtol=0, atol=1e-15)
-        np.testing.assert_allclose(one.dv, other.dv, rtol=0, atol=1e-13)
+    assert package.run(study).summary["has_floor"].to_pylist()[:3] == [True, False, False]
+    turns = FAST | {"turn_axis": "body", "lever_arm_m": [0.2, 0.1, 0.0]}
+    law = {"yaw_center_deg": {"values": [10.0]}}
+    drawn = small_study(motion=turns | {"yaw_center_deg": None}, drawn=law)
+    one, other = map(package.simulated_record, (small_study(motion=turns), drawn))
+    np.testing.assert_allclose(one.dtheta, other.dtheta, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(one.dv, other.dv, rtol=0, atol=1e-13)
 
 
 # Files of attitude
@@ -201,41 +191,24 @@ def test_bad_file_is_one_line(times, angles, text, tmp_path):
 
 # Logs of a base that is turned become studies that use the turns
 
-RATE = 25.0
-UNITS = {
-    "rad/s and m/s^2": ("gyro_@ [rad/s]", 1.0, "accel_@ [m/s^2]", 1.0, "rad_per_s"),
-    "deg/h and ug": ("w@ [deg/h]", DEG_PER_H, "f@ [ug]", 1e-6 * G, "deg_per_h"),
-    "increments": ("dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE, "deg"),
-    "no units, deg/s": ("gyro_@", DEG, "accel_@", G, "deg_per_s"),
-}
-"""Names and units of gyros and accelerometers, and the unit to find."""
 
-simulated = cache(turned_record)
-
-
-def study_of_log(
-    motion: Any, units: str = "rad/s and m/s^2", gyro: Any = 1.0, **record: Any
-) -> str:
-    """Return the study of a log in axes front, left, up; its gyros multiplied by a number."""
-    some = simulated(motion, **record)
-    gyro_name, gyro_unit, accel_name, accel_unit, _ = UNITS[units]
-    rates = from_body_axes(some.gyro, NAMED_AXES["flu"]) * gyro / gyro_unit
-    forces = from_body_axes(some.accel, NAMED_AXES["flu"]) / accel_unit
-    names = [name.replace("@", axis) for name in (gyro_name, accel_name) for axis in "xyz"]
-    table = np.column_stack([np.arange(1, len(rates) + 1) / some.rate_hz, rates, forces])
-    np.savetxt("log.csv", table, "%.15g", ",", header=",".join(["time_s", *names]), comments="")
+def study_of_log(motion: Any, signs: Any = 1.0, **record: Any) -> str:
+    """Return the study of a log in axes front, left, up; some of its gyros have a wrong sign."""
+    some = turned_record(motion, **record)
+    rates, forces = (from_body_axes(v, NAMED_AXES["flu"]) for v in (some.gyro, some.accel))
+    time_s = np.arange(1, len(rates) + 1) / some.rate_hz
+    names = "time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z"
+    table = np.column_stack([time_s, rates * signs / DEG, forces])
+    np.savetxt("log.csv", table, "%.15g", ",", header=names, comments="")
     return make_study_text(Path("log.csv"), Path("its.toml"))
 
 
-@pytest.mark.nightly(fast=("increments-four positions", "no units, deg/s-one-way carousel"))
 @pytest.mark.parametrize("motion", TURNS)
-@pytest.mark.parametrize("units", UNITS)
-def test_turning_log_has_no_doubt_but_its_hemisphere(motion, units, sinsjax):
-    text = study_of_log(motion, units)
+def test_turning_log_has_no_doubt_but_its_hemisphere(motion, sinsjax):
+    text = study_of_log(motion)
     assert re.findall(r"^# (DOUBT|QUESTION): ", text, re.MULTILINE) == ["DOUBT"]
     study = tomllib.loads(text)
     assert study["earth"]["latitude_deg"] == pytest.approx(48.0, abs=1.5)
-    assert study["record"]["gyro_unit"] == UNITS[units][-1]
     assert study["alignment"] == {"method": "gravity_fit"}
     noise = study["gravity_fit"]
     assert noise["fit_gyro_arw_deg_per_sqrt_h"] == pytest.approx(0.02, rel=0.05)
@@ -247,15 +220,14 @@ def test_all_of_a_long_turning_log_is_aligned(sinsjax):
     for turns, fine_s in ((((960.0,), (180.0,), 10.0), 1909.0), (PARKED, 900.0)):
         text = study_of_log(turns, length_s=1920.0, rate_hz=5.0)
         assert tomllib.loads(text)["study"]["duration_s"] == fine_s
-    assert "turns" not in study_of_log("parked")
+        assert ("turns" in text) == (turns != PARKED)
 
 
 @pytest.mark.nightly
 def test_fit_that_contradicts_its_sensors_is_a_caution(sinsjax):
     Path("its.toml").write_text(study_of_log("four positions"))
-    study_of_log("four positions", gyro=np.array([1.0, 1.0, -1.0]))
+    study_of_log("four positions", signs=np.array([1.0, 1.0, -1.0]))
     trust = ("--set", "record.trust=true")  # refused, unless the user insists
     code, printed, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *trust)
     assert code == 0 and "residuals" in " ".join(printed.split())
-    (row,) = package.read_summary("out").to_pylist()
-    assert row["fit_misfit"] > 3
+    assert package.read_summary("out")["fit_misfit"][0].as_py() > 3
