@@ -12,13 +12,12 @@ from support.plain_studies import build_study
 from support.studies import small_study
 
 from sinsjax.execution.success import last_scheduled_reset_s
-from sinsjax.methods.filters.keys import acting_reset_times, any_trigger
+from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.variants import Variants
 
 AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
 TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
-PAIR = {"reset_trigger": ["none", "innovation"]}
 
 
 def test_reset_times_follow_count_first_time_and_cycle():
@@ -54,6 +53,7 @@ def test_reset_times_follow_count_first_time_and_cycle():
             {"sigma_factors": [1.0], "sigma_times_s": []},
             {"sigma_factors": [2.0, 1.0], "sigma_times_s": [100.0]},
         ]},
+        {"axes": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [0.0, 9.0]}},
         {"resets": {"trigger_threshold": 9.0}, "cases": [
             {"reset_trigger": "innovation", "trigger_until_s": 3.0},
             {"reset_trigger": "none", "trigger_until_s": 9000.0},
@@ -113,21 +113,6 @@ def test_defaults_of_waiting_keep_fingerprint_and_what_waits_restarts_nothing():
     cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
     study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
     assert study.duplicate_of.tolist() == [0, 1, 1]
-
-
-@pytest.mark.parametrize(
-    ("tables", "triggered"),
-    [
-        ({}, False),
-        ({"axes": {"reset_trigger": ["none"]}}, False),
-        ({"resets": TRIGGER}, True),
-        ({"resets": {"trigger_threshold": 9.0}, "axes": PAIR}, True),
-        ({"axes": PAIR | {"trigger_threshold": [1.0, 9.0]}}, True),
-        ({"axes": {"a": PAIR | {"trigger_threshold": [0.0, 9.0]}}}, True),
-    ],
-)
-def test_reset_trigger_may_be_swept_together_with_none(tables, triggered):
-    assert any_trigger(Variants.all_of(build_study(**tables))) == triggered
 
 
 def test_size_of_a_bias_is_that_of_its_largest_axis_whatever_its_sign():

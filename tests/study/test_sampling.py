@@ -15,12 +15,11 @@ from support.plain_studies import (
     build_study,
     merge_tables,
     refusal_line,
-    refusal_lines,
 )
 from support.refusals import refused
 
 from sinsjax.study import sampling
-from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, SensorsSection
+from sinsjax.study.schema import INITIAL_NUMBERS
 from sinsjax.study.study import Study
 
 MANY = 1 << 14
@@ -45,20 +44,6 @@ def drawn(laws: dict[str, Any], count: int = MANY, **changes: Any) -> dict[str, 
 
 SOBOL = {"sampling": "sobol"} | LAWS
 BOTH = pytest.mark.parametrize("laws", [LAWS, SOBOL], ids=["random", "sobol"])
-
-
-def test_drawn_keys_need_as_many_numbers_as_their_section():
-    for key, numbers in NUMBERS_DRAWN.items():
-        motion = {f"{angle}_period_s": 5.0 for angle in ("pitch", "roll", "yaw")}
-        tables = {"earth": {"latitude_deg": 32.0}, "motion": motion | {"yaw_center_deg": 0}}
-        tables = {name: {k: v for k, v in tables[name].items() if k != key} for name in tables}
-        tables |= {"filter": {"r_velocity_m_per_s": 0.1}, "study": BASE["study"]}
-        law = {key: {"values": [[0.5] * numbers if numbers > 1 else 0.5]}}
-        values = sampling.drawn_values(build_study(tables, drawn=law), 2)[key]
-        assert values.shape == ((2, numbers) if numbers > 1 else (2,))
-        lines = refusal_lines(tables, drawn={key: {"values": [[0.5, 0.6]]}})
-        assert all(line.startswith(f"[drawn] {key}.values[0]") for line in lines)
-    assert NUMBERS_DRAWN.keys() >= {*SensorsSection.model_fields, *INITIAL_NUMBERS}
 
 
 # Distributions
@@ -201,8 +186,6 @@ def test_invalid_drawn_tables_are_refused(refusal):
 @pytest.mark.parametrize(
     ("key", "law", "bound"),
     [
-        ("pitch_center_deg", {"normal": [0, 60]}, "90"),
-        ("pitch_period_s", {"normal": [6, 4]}, "0"),
         ("phi_u0_deg", {"uniform": [170, 190]}, "180"),
         ("gyro_arw_deg_per_sqrt_h", {"normal": [1, 1]}, "0"),
         ("accel_scale_ppm", {"normal": [1e12, 1]}, "1000000000000"),
@@ -230,18 +213,10 @@ def test_drawn_key_counts_as_given():
         "latitude_deg": {"uniform": [20, 60]},
         "yaw_center_deg": {"values": [0, 90]},
         "gyro_noise_deg_per_h": {"values": [1]},
-        "roll_amplitude_deg": {"uniform": [0, 1]},
-        "roll_period_s": {"uniform": [5, 6]},
     }
     study = build_study({"study": BASE["study"]}, drawn=laws)
-    assert study.drawn_keys == tuple(laws)
-    assert study.sensors.gyro_noise_deg_per_h is None
-    for key in laws:
-        assert study.values(key) == [None]
-        assert list(study.combinations(key, "method")) == [{key: None, "method": "kalman5"}]
-
-
-def test_recorded_study_may_draw_initial_keys():
-    laws = {key: {"normal": [0, 1]} for key in INITIAL_NUMBERS}
-    study = build_study(RECORDED, record={"start_s": [0, 10, 20]}, drawn=laws)
+    assert study.drawn_keys == tuple(laws) and study.sensors.gyro_noise_deg_per_h is None
+    assert [study.values(key) for key in laws] == [[None]] * 3
+    initial = {key: {"normal": [0, 1]} for key in INITIAL_NUMBERS}
+    study = build_study(RECORDED, record={"start_s": [0, 10, 20]}, drawn=initial)
     assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS
