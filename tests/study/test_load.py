@@ -316,7 +316,9 @@ def test_fingerprint_changes_with_any_value():
 # Display
 
 
-@pytest.mark.nightly(fast=("car_test", "compass_car", "paper1_resets", "tune_condition5"))
+@pytest.mark.nightly(
+    fast=("reset_sweep", "methods", "car_test", "compass_car", "paper1_resets", "tune_condition5")
+)
 @pytest.mark.parametrize("name", files.shipped_studies())
 def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):
     study = load_study(name)

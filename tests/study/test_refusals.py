@@ -30,9 +30,11 @@ STOP = {"statistic": "success_rate", "half_width": 0.02}
 # Unknown and misplaced names
 sensor = {}                                  -> [sensor]: [sensors]
 duration_s = 1.0                             -> duration_s: [study]
+alignment.seed = 1                           -> [alignment] seed: [study]
 alignment.reset_cuont = 1                    -> [alignment] reset_cuont: reset_count [resets]
 filter.zzz = 1                               -> [filter] zzz
 axes.phi_u_deg = [1]                         -> [axes] phi_u_deg: phi_u0_deg
+axes.start_s = [0, 30]                       -> [axes] start_s: [record]
 axes.half_width = [1]                        -> [axes] half_width: [stop_when]
 alignment.method = "compas" & compass.level_time_s = 9    -> [alignment] method: 'compas' compass
 # Values of single keys
@@ -112,6 +114,8 @@ motion = {turn_times_s = [1.0], turn_rate_deg_per_s = 90.0, turn_ramp_s = 0.5, t
 motion = {turn_times_s = [1.0, 900.0], turn_angles_deg = 30.0}       -> [motion] turn_times_s: 900
 motion = {turn_times_s = [1.0], turn_rate_deg_per_s = 900.0}
     -> [motion] turn_rate_deg_per_s: 900 572.9 100
+motion = {turn_times_s = [1.0], turn_ramp_s = 0.001}      -> [motion] turn_ramp_s: 0.001 0.01
+motion = {turn_times_s = [1.0], turn_angles_deg = [1.0, 2.0]}      -> [motion] turn_angles_deg: 2 1
 motion.turn_times_s = [2.0, 1.0]             -> [motion] turn_times_s: increase
 motion = {attitude_file = "a.csv"}           -> [motion] yaw_center_deg: attitude_file [motion]
 axes.attitude_file = ["a.csv", "b.csv"]      -> [axes] attitude_file: swept
@@ -245,6 +249,7 @@ stop_when = {statistic = "success_rate", half_width = 0.02}    -> [stop_when]: [
 axes.accel_bias_ug = [1]                     -> [axes] accel_bias_ug: [sensors]
 axes.coarse_duration_s = [0.01]              -> [axes] coarse_duration_s: 0.01
 coarse.coarse_duration_s = 0.01              -> [coarse] coarse_duration_s: 0.01 2 0.02
+coarse.coarse_method = "none"                -> [coarse] coarse_method: 'none' 'inertial'
 record.start_s = [0, 30, 0.0]                -> [record] start_s: repeats
 record = {from_s = 30, start_s = [20, 40]}   -> [record] start_s: 20 30
 record.time_unit = "ms"                      -> [record] time_unit: time_column

@@ -167,6 +167,7 @@ drawn = {sampling = "halton", phi_e0_deg.uniform = [0, 1]}
 drawn.phi_e_deg.uniform = [0, 1]             -> [drawn] phi_e_deg: phi_e0_deg
 drawn.reset_at_feedback.values = [true]      -> [drawn] reset_at_feedback
 drawn.phi_e0_deg.unifrom = [0, 1]            -> [drawn] phi_e0_deg.unifrom: uniform
+drawn.phi_e0_deg.sigma = 3                   -> [drawn] phi_e0_deg.sigma: normal uniform
 drawn.phi_e0_deg.uniform = [2, 1]            -> [drawn] phi_e0_deg.uniform: low high 2 1
 drawn.phi_e0_deg.normal = [0, -1]            -> [drawn] phi_e0_deg.normal[1]: 0 -1
 drawn.phi_e0_deg.grid = [0, 200]             -> [drawn] phi_e0_deg.grid[1]: 180 200

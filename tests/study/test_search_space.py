@@ -38,6 +38,9 @@ reset_times_s = {candidates = [[1.0], [2.0, 1.0]]}    -> reset_times_s.candidate
 reset_kind = {candidates = []}               -> reset_kind.candidates: empty
 reset_times_s = [{candidates = [1.0, 2.0]}]  -> reset_times_s[0].candidates: whole
 reset_count = {low = 1, high = 3}            -> reset_count: candidates
+reset_kind = {candidates = ["full", "full"]} -> reset_kind.candidates: repeats
+p0_yaw_deg = {low = 1.0}                     -> p0_yaw_deg: high fixed candidates
+p0_yaw_deg = [{low = 10, high = 90}]         -> p0_yaw_deg: list
 reset_times_s = {low = 10, high = 90}        -> reset_times_s: list
 reset_times_s = [{low = 1, high = 3}] & reset_cycle_s = {low = 10, high = 90}
     -> reset_times_s: reset_cycle_s [tune.variables]
@@ -69,6 +72,9 @@ tune.baseline.reset_times_s = [9.0]          -> [tune.baseline]: reset_times_s 9
 tune.variables = {reset_first_s = {low = 1.0, high = 2.0}, reset_count = {fixed = 1}}
     -> [tune.baseline] reset_first_s: required
 tune.baseline.trigger_until_s = 3.0          -> [tune.baseline]: trigger_until_s reset_trigger
+tune.baseline.trigger_until_s = 3.0
+    & resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
+    -> [tune.baseline] trigger_until_s
 stop_when = {statistic = "success_rate", half_width = 0.1}   -> [stop_when]: [tune]
 alignment.method = "compass"
     & tune.variables = {level_gains = [{low = 0.1, high = 1.0}, {low = 0.1, high = 1.0}]}

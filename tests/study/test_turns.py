@@ -151,6 +151,15 @@ def test_gyros_measure_the_attitude_between_rows(tmp_path):
         assert difference < 2e-6  # coning within samples of 0.01 s is left
 
 
+def test_place_is_not_drawn_with_a_file():
+    law = {"latitude_deg": {"uniform": [10.0, 20.0]}}
+    motion = NO_ANGLES | {"attitude_file": "a.csv"}
+    with pytest.raises(
+        InputError, match=r"\[drawn\] latitude_deg: cannot be drawn with attitude_f"
+    ):
+        small_study(motion=motion, earth={"latitude_deg": None}, drawn=law)
+
+
 def test_run_with_file_has_no_floor_and_a_heading_clockwise_from_north(tmp_path):
     table = package.run(with_file(tmp_path)).summary
     assert not any(table["has_floor"].to_pylist())
