@@ -1,0 +1,121 @@
+"""When scheduled resets come, what waits for a feedback, and which variants have a trigger."""
+
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.batches import batch_of
+from support.plain_studies import build_study
+from support.studies import small_study
+
+from sinsjax.execution.success import last_scheduled_reset_s
+from sinsjax.methods.filters.keys import acting_reset_times
+from sinsjax.study.identity import fingerprint
+from sinsjax.study.variants import Variants
+
+AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
+TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
+
+
+def test_reset_times_follow_count_first_time_and_cycle():
+    """A first one of its own; without it the cycle's multiples, as exactly as ever."""
+    cycle = {"reset_cycle_s": 0.1}
+    study = build_study(resets=cycle, axes={"reset_count": [0, 1, 3], "reset_first_s": [25, 7.5]})
+    assert study.reset_times() == [
+        *((), (), (25.0,), (7.5,)),
+        (25.0, 25.0 + 0.1, 25.0 + 2 * 0.1),
+        (7.5, 7.5 + 0.1, 7.5 + 2 * 0.1),
+    ]
+    (times,) = build_study(resets=cycle | {"reset_count": 3}).reset_times()
+    assert times == (0.1, 0.2, 3 * 0.1)
+    alone = build_study(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
+    assert alone.reset_times() == [(), (25.0,)]
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"resets": {"reset_times_s": [0.01, 0.02, 900]}},  # the last one exactly at the end
+        {"resets": {"reset_count": 0, "reset_cycle_s": 1e6}},
+        {"resets": {"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6}},
+        {"resets": {"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400}},
+        # 3 x 0.1 is a rounding error more than 0.3.
+        {"study": {"duration_s": 0.3, "record_interval_s": 0.1},
+         "resets": {"reset_count": 3, "reset_cycle_s": 0.1}},
+        # Only what happens together is checked.
+        {"cases": [{"reset_count": 2, "reset_cycle_s": 400},
+                   {"reset_count": 8, "reset_cycle_s": 100}]},
+        {"cases": [{"stored_s": 80, "passes": 10}, {"stored_s": 100, "passes": 3}]},
+        {"alignment": {"method": "compass"}, "cases": [
+            {"sigma_factors": [1.0], "sigma_times_s": []},
+            {"sigma_factors": [2.0, 1.0], "sigma_times_s": [100.0]},
+        ]},
+        {"axes": {"reset_trigger": ["none", "innovation"], "trigger_threshold": [0.0, 9.0]}},
+        {"resets": {"trigger_threshold": 9.0}, "cases": [
+            {"reset_trigger": "innovation", "trigger_until_s": 3.0},
+            {"reset_trigger": "none", "trigger_until_s": 9000.0},
+        ]},
+        *({"coarse": {"coarse_duration_s": 2.0} | coarse, "resets": {AT: True, "reset_count": 1,
+           "reset_cycle_s": 3.0}, "alignment": {"feedback_interval_s": interval}}
+          for coarse, interval in (({}, 1.0), ({"coarse_then": "replay"}, 1.5))),
+    ],
+)  # fmt: skip
+def test_valid_resets_passes_and_loops_are_accepted(tables):
+    build_study(**tables)
+
+
+def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
+    def params(times: list[float], **resets: Any) -> list[np.ndarray]:
+        tables = {"alignment": {"feedback_interval_s": 0.35}}
+        study = small_study(**tables, resets={"reset_times_s": times} | resets)
+        return [np.asarray(leaf) for leaf in jax.tree.leaves(batch_of(study).params)]
+
+    first, second = params([1.05, 1.75]), params([1.05, 2.1])
+    assert any((one != other).any() for one, other in zip(first, second, strict=True))
+    for times, expected in (([0.71, 1.41], first), ([1.05, 1.77], second), ([1.05, 2.1], second)):
+        for one, other in zip(params(times, **{AT: True}), expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@given(
+    st.lists(st.integers(1, 5000), max_size=4, unique=True),
+    st.integers(1, 700),
+    st.sampled_from([100.0, 125.0, 199.8]),
+)
+def test_resets_are_delayed_to_next_feedback_only(samples, every, rate_hz):
+    written = tuple(sample / rate_hz for sample in sorted(samples))
+    later = acting_reset_times(rate_hz, written, None, None, None, True, every / rate_hz)
+    for sample, time in zip(sorted(samples), later, strict=True):
+        tick = round(time * rate_hz)
+        assert time * rate_hz == pytest.approx(tick, rel=1e-12)
+        assert tick % every == 0 and sample <= tick < sample + every
+    assert acting_reset_times(rate_hz, written, None, None, None, False, every / rate_hz) == written
+
+
+def test_scheduled_last_reset_includes_delay_to_feedback():
+    """The columns show the schedule as written, including its axes."""
+    study = small_study(
+        alignment={"feedback_interval_s": 2.0}, resets={AT: True}, axes={"reset_times_s": [[], [3]]}
+    )
+    assert last_scheduled_reset_s(study).tolist() == [0.0, 4.0]
+    assert study.reset_times() == [(), (3,)]
+    assert last_scheduled_reset_s(small_study(alignment={"method": "compass"})).tolist() == [0.0]
+
+
+def test_defaults_of_waiting_keep_fingerprint_and_what_waits_restarts_nothing():
+    resets = TRIGGER | {"reset_times_s": [1.0]}
+    plain = small_study(resets=resets)
+    for key in (AT, RESTARTS):
+        assert fingerprint(small_study(resets=resets | {key: False})) == fingerprint(plain)
+    cases = [{AT: False, RESTARTS: True}, {AT: True, RESTARTS: False}, {AT: True, RESTARTS: True}]
+    study = small_study(resets={"reset_times_s": [1.0]}, cases=cases)
+    assert study.duplicate_of.tolist() == [0, 1, 1]
+
+
+def test_size_of_a_bias_is_that_of_its_largest_axis_whatever_its_sign():
+    study = small_study(axes={"gyro_bias_deg_per_h": [[-0.3, 0.1, 0.0], -0.2, 0.0]})
+    sizes = Variants(study, np.arange(3)).rms("gyro_bias_deg_per_h")
+    np.testing.assert_array_equal(sizes, [0.3, 0.2, 0.0])

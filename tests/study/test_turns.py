@@ -1,0 +1,242 @@
+"""Turns of the base: by keys, by a file of attitude, and as `init record --from` finds them."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.studies import STILL, small_study
+from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, turned_record
+
+import sinsjax as package
+from sinsjax import InputError
+from sinsjax.execution.checks import study_warnings
+from sinsjax.execution.hidden_north import hidden_north
+from sinsjax.execution.prepare import prepare_job
+from sinsjax.records.layout import NAMED_AXES, from_body_axes
+from sinsjax.study.from_record import make_study_text
+from sinsjax.study.identity import fingerprint
+
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
+
+NO_ERRORS = {"gyro_bias_deg_per_h": 0.0, "gyro_noise_deg_per_h": 0.0}
+FAST = {"turn_times_s": [1.0], "turn_rate_deg_per_s": 90.0, "turn_ramp_s": 0.5}
+THERE_AND_BACK = {"turn_times_s": [0.0, 3.0], "turn_angles_deg": [400.0, -400.0]}
+THERE_AND_BACK |= {"turn_rate_deg_per_s": 200.0, "turn_ramp_s": 0.2}
+
+
+# Keys
+
+
+def turn_rates(duration_s: float, **turns: Any) -> tuple[np.ndarray, list[str]]:
+    """Return the rate of the samples about the vertical without Earth's, deg/s, and the notes."""
+    study = small_study(
+        study={"duration_s": duration_s, "window_s": None},
+        sensors=NO_ERRORS,
+        motion=STILL | {f"turn_{key}": value for key, value in turns.items()},
+    )
+    rates = np.asarray(package.simulated_record(study).dtheta)[:, 2] * 100 / DEG
+    return rates - 15.041067 / 3600 * np.sin(32 * DEG), list(prepare_job(study).notes)
+
+
+def test_turn_has_exact_angle_in_whole_samples():
+    made, notes = turn_rates(
+        20.0, times_s=[1.004], angles_deg=-100.0, rate_deg_per_s=7.0, ramp_s=0.333
+    )
+    assert sum(made) / 100 == pytest.approx(-100.0, abs=1e-4)
+    assert np.flatnonzero(np.abs(made) > 1e-3)[0] >= 100
+    told = "ramp 0.333 s to 0.33 s, begin 1.004 s to 1 s, rate 7 deg/s to 6.99790062981 deg/s"
+    assert f"Turns are rounded to whole samples: {told}." in notes
+
+
+def test_turns_repeat_until_the_end_and_the_last_keeps_its_rate():
+    turns = {"times_s": [0.0, 5.0], "angles_deg": [90.0, -90.0], "rate_deg_per_s": 45.0}
+    made, notes = turn_rates(37.0, **turns, repeat_s=12.0)
+    signs = np.sign(np.round(made, 2))
+    starts = np.flatnonzero(np.diff(signs, prepend=0) * signs > 0)
+    np.testing.assert_allclose(starts / 100, [0, 5, 12, 17, 24, 29, 36], atol=0.1)
+    assert made.max() == pytest.approx(45.0, abs=1e-4)
+    assert not any("rounded" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("method", "motion", "warned"),
+    [
+        ("kalman5", FAST, True),
+        ("compass", FAST, True),
+        ("inertial", FAST, True),
+        ("inertial", FAST | {"turn_angles_deg": 1e6, "turn_rate_deg_per_s": 200.0}, False),
+        ("inertial", FAST | THERE_AND_BACK, False),
+        ("kalman10", FAST, False),
+        ("kalman5", {}, False),
+    ],
+)
+def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
+    study = small_study(motion=motion, alignment={"method": method, "phi_u0_deg": 0.0})
+    lines = [line for line in study_warnings(study) if line.startswith("[alignment] method")]
+    assert len(lines) == warned
+    assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
+
+
+def test_resets_that_forget_the_position_before_a_turn_are_warned_of():
+    for resets, turns, warned in (
+        ({"reset_times_s": [1.0, 3.0]}, [2.0], True),
+        ({"reset_count": 2, "reset_cycle_s": 1.5}, [2.0], True),
+        ({"reset_times_s": [1.0, 2.0]}, [2.0], False),
+        ({"reset_times_s": [3.0], "reset_kind": "scale"}, [2.0], False),
+        ({"reset_times_s": [3.0]}, [], False),
+    ):
+        motion = STILL | {"turn_times_s": turns}
+        study = small_study(motion=motion, alignment={"method": "kalman10"}, resets=resets)
+        lines = study_warnings(study)
+        assert [line[:31] for line in lines] == ["[resets]: the reset at 3 s forge"[:31]] * warned
+
+
+def test_turned_base_has_no_floor_and_no_hidden_north():
+    biased = {"gyro_bias_deg_per_h": [50.0, 0.0, 0.0]}
+    assert hidden_north(small_study(motion=STILL, sensors=biased)) is not None
+    assert hidden_north(small_study(motion=STILL | FAST, sensors=biased)) is None
+    with pytest.raises(InputError, match="no bias floor") as caught:
+        package.run(small_study(study={"judged_from": "floor"}, motion=STILL | FAST))
+    assert len(caught.value.lines) == 1
+
+
+@pytest.mark.nightly
+def test_turns_can_be_swept_and_a_drawn_heading_turns_alike():
+    axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
+    study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)
+    assert package.run(study).summary["has_floor"].to_pylist()[:3] == [True, False, False]
+    turns = FAST | {"turn_axis": "body", "lever_arm_m": [0.2, 0.1, 0.0]}
+    law = {"yaw_center_deg": {"values": [10.0]}}
+    drawn = small_study(motion=turns | {"yaw_center_deg": None}, drawn=law)
+    one, other = map(package.simulated_record, (small_study(motion=turns), drawn))
+    np.testing.assert_allclose(one.dtheta, other.dtheta, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(one.dv, other.dv, rtol=0, atol=1e-13)
+
+
+# Files of attitude
+
+TIMES = np.arange(0, 6.05, 0.05)
+ANGLES = np.column_stack(  # yaw, through 180, pitch, roll
+    [170 + 20 * np.sin(TIMES), 2 * np.sin(2 * TIMES), 3 * np.cos(TIMES)]
+)
+NO_ANGLES = {"yaw_center_deg": None} | {
+    f"{angle}_{part}": None
+    for angle in ("pitch", "roll", "yaw")
+    for part in ("amplitude_deg", "period_s")
+}
+
+
+def with_file(folder: Path, times: np.ndarray = TIMES, angles: np.ndarray = ANGLES) -> Any:
+    yaw, pitch, roll = angles.T
+    rows = np.column_stack([times, (yaw + 180) % 360 - 180, pitch, roll])
+    path = folder / "attitude.csv"
+    np.savetxt(path, rows, "%.17g", ",", header="time_s,yaw_deg,pitch_deg,roll_deg", comments="")
+    return small_study(motion=NO_ANGLES | {"attitude_file": str(path)}, sensors=NO_ERRORS)
+
+
+def test_gyros_measure_the_attitude_between_rows(tmp_path):
+    record = package.simulated_record(with_file(tmp_path))
+    earth = 15.041067 * DEG_PER_H * np.array([0, np.cos(32 * DEG), np.sin(32 * DEG)])
+    given = Rotation.from_euler("ZXY", ANGLES, degrees=True)
+    c = given[0]
+    for n, increments in enumerate(np.reshape(record.dtheta, (-1, 5, 3)), 1):
+        for increment in increments:
+            c = c * Rotation.from_rotvec(increment)
+        turned = Rotation.from_rotvec(-earth * TIMES[n])  # of n in inertial space
+        difference = (turned * c * given[n].inv()).magnitude()
+        assert difference < 2e-6  # coning within samples of 0.01 s is left
+
+
+def test_place_is_not_drawn_with_a_file():
+    law = {"latitude_deg": {"uniform": [10.0, 20.0]}}
+    motion = NO_ANGLES | {"attitude_file": "a.csv"}
+    with pytest.raises(
+        InputError, match=r"\[drawn\] latitude_deg: cannot be drawn with attitude_f"
+    ):
+        small_study(motion=motion, earth={"latitude_deg": None}, drawn=law)
+
+
+def test_run_with_file_has_no_floor_and_a_heading_clockwise_from_north(tmp_path):
+    table = package.run(with_file(tmp_path)).summary
+    assert not any(table["has_floor"].to_pylist())
+    yaw, heading = (np.array(table[f"{name}_deg"]) for name in ("yaw", "heading"))
+    assert ((heading >= 0) & (heading < 360)).all()
+    np.testing.assert_allclose((heading + yaw) % 360, 0, atol=1e-9)
+
+
+def test_identity_has_the_turns_and_the_content_of_the_file(tmp_path):
+    turned = small_study(motion=FAST)
+    assert fingerprint(small_study()) != fingerprint(turned)
+    study = with_file(tmp_path)
+    before = fingerprint(study)
+    assert fingerprint(study) == before
+    with_file(tmp_path, angles=ANGLES + 1e-3)
+    assert fingerprint(study) != before
+
+
+@pytest.mark.parametrize(
+    ("times", "angles", "text"),
+    [
+        (TIMES[:100], ANGLES[:100], "covers 0 to 4.95 s, but the study needs 0 to 6 s"),
+        (TIMES[::-1], ANGLES, "time_s does not increase"),
+        (*(np.delete(table, range(30, 40), 0) for table in (TIMES, ANGLES)), "has a gap of"),
+        (TIMES, np.radians(ANGLES), "are they in radians?"),
+    ],
+    ids=["short", "unsorted", "gap", "radians"],
+)
+def test_bad_file_is_one_line(times, angles, text, tmp_path):
+    study = with_file(tmp_path, times, angles)
+    with pytest.raises(InputError) as caught:
+        prepare_job(study)
+    assert text in str(caught.value) and len(caught.value.lines) == 1
+    Path(study.motion.attitude_file).unlink()
+    with pytest.raises(InputError, match=r"attitude\.csv: cannot be read"):
+        prepare_job(study)
+
+
+# Logs of a base that is turned become studies that use the turns
+
+
+def study_of_log(motion: Any, signs: Any = 1.0, **record: Any) -> str:
+    """Return the study of a log in axes front, left, up; some of its gyros have a wrong sign."""
+    some = turned_record(motion, **record)
+    rates, forces = (from_body_axes(v, NAMED_AXES["flu"]) for v in (some.gyro, some.accel))
+    time_s = np.arange(1, len(rates) + 1) / some.rate_hz
+    names = "time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z"
+    table = np.column_stack([time_s, rates * signs / DEG, forces])
+    np.savetxt("log.csv", table, "%.15g", ",", header=names, comments="")
+    return make_study_text(Path("log.csv"), Path("its.toml"))
+
+
+@pytest.mark.parametrize("motion", TURNS)
+def test_turning_log_has_no_doubt_but_its_hemisphere(motion, sinsjax):
+    text = study_of_log(motion)
+    assert re.findall(r"^# (DOUBT|QUESTION): ", text, re.MULTILINE) == ["DOUBT"]
+    study = tomllib.loads(text)
+    assert study["earth"]["latitude_deg"] == pytest.approx(48.0, abs=1.5)
+    assert study["alignment"] == {"method": "gravity_fit"}
+    noise = study["gravity_fit"]
+    assert noise["fit_gyro_arw_deg_per_sqrt_h"] == pytest.approx(0.02, rel=0.05)
+    assert noise["fit_accel_vrw_ug_per_sqrt_hz"] == pytest.approx(50.0, rel=0.05)
+
+
+def test_all_of_a_long_turning_log_is_aligned(sinsjax):
+    """A turn after 16 min would be cut off, as the rest of the log of a parked base is."""
+    for turns, fine_s in ((((960.0,), (180.0,), 10.0), 1909.0), (PARKED, 900.0)):
+        text = study_of_log(turns, length_s=1920.0, rate_hz=5.0)
+        assert tomllib.loads(text)["study"]["duration_s"] == fine_s
+        assert ("turns" in text) == (turns != PARKED)
+
+
+@pytest.mark.nightly
+def test_fit_that_contradicts_its_sensors_is_a_caution(sinsjax):
+    Path("its.toml").write_text(study_of_log("four positions"))
+    study_of_log("four positions", signs=np.array([1.0, 1.0, -1.0]))
+    trust = ("--set", "record.trust=true")  # refused, unless the user insists
+    code, printed, _ = sinsjax("align", "log.csv", "its.toml", "-o", "out", *trust)
+    assert code == 0 and "residuals" in " ".join(printed.split())
+    assert package.read_summary("out")["fit_misfit"][0].as_py() > 3
