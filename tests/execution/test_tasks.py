@@ -164,7 +164,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
         time.sleep(0.02)  # in which other threads could begin
         return SimpleNamespace(compute=lambda call: None)
 
-    monkeypatch.setattr(TaskRunner, "_compile_chunks", slow)
+    monkeypatch.setattr(TaskRunner, "_make_chunks", slow)
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     rows = {"summary": pa.table({"status": ["ok"]})}
     monkeypatch.setattr(runner._output, "make_tables", lambda chunk, variant_ids: rows)
