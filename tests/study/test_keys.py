@@ -328,7 +328,9 @@ def test_method_of_shipped_study_can_be_changed_or_a_line_tells_why_not(name):
 
 
 def test_functions_of_python_warn_of_keys_without_effect():
-    study = small_study(study={"draws": 1}, alignment={"method": "inertial"})
+    study = small_study(
+        study={"draws": 1, "success_band_arcmin": 5000.0}, alignment={"method": "inertial"}
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error", StudyWarning)  # which stops before the first run
         with pytest.raises(StudyWarning, match="phi_u0_deg .*inertial"):

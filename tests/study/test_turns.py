@@ -81,20 +81,6 @@ def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 
 
-def test_resets_that_forget_the_position_before_a_turn_are_warned_of():
-    for resets, turns, warned in (
-        ({"reset_times_s": [1.0, 3.0]}, [2.0], True),
-        ({"reset_count": 2, "reset_cycle_s": 1.5}, [2.0], True),
-        ({"reset_times_s": [1.0, 2.0]}, [2.0], False),
-        ({"reset_times_s": [3.0], "reset_kind": "scale"}, [2.0], False),
-        ({"reset_times_s": [3.0]}, [], False),
-    ):
-        motion = STILL | {"turn_times_s": turns}
-        study = small_study(motion=motion, alignment={"method": "kalman10"}, resets=resets)
-        lines = study_warnings(study)
-        assert [line[:31] for line in lines] == ["[resets]: the reset at 3 s forge"[:31]] * warned
-
-
 def test_turned_base_has_no_floor_and_no_hidden_north():
     biased = {"gyro_bias_deg_per_h": [50.0, 0.0, 0.0]}
     assert hidden_north(small_study(motion=STILL, sensors=biased)) is not None
