@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -272,20 +273,23 @@ def _run_tasks(
     missing = set(sink.missing_tasks(task for tasks in tasks_by_stage for task in tasks))
     counter = _ProgressCounter(study, on_progress)
     counter.start(task for tasks in tasks_by_stage for task in tasks if task not in missing)
-    for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
-        pending = [task for task in tasks if task in missing]
-        ready = runner.compile_ahead(pending, counter.set_programs) if executor.local else pending
-        for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
-            sink.add_result(result)
-            missing.remove(result.task)
-            counter.add_task(result.task, result.failures)
-        if not missing.isdisjoint(pending):
-            sink.finish("interrupted")
-            now = counter.progress
-            text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
-            raise StudyInterrupted(text)
-        if _may_stop(study, sink, draws):
-            break
+    with closing(runner):
+        for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
+            pending = [task for task in tasks if task in missing]
+            ready = (
+                runner.compile_ahead(pending, counter.set_programs) if executor.local else pending
+            )
+            for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
+                sink.add_result(result)
+                missing.remove(result.task)
+                counter.add_task(result.task, result.failures)
+            if not missing.isdisjoint(pending):
+                sink.finish("interrupted")
+                now = counter.progress
+                text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
+                raise StudyInterrupted(text)
+            if _may_stop(study, sink, draws):
+                break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 

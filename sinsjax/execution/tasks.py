@@ -34,7 +34,7 @@ from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
 _CACHED_BATCHES = 3  # each has its own increments; threads may work on two programs
-_MOST_COMPILERS = 4  # programs that are compiled side by side, each in some 300 MB
+_MOST_COMPILERS = 4  # programs that are compiled side by side, each in memory of its own
 
 
 class Job(NamedTuple):
@@ -282,21 +282,24 @@ class TaskRunner:
                 and whenever one more is, then from another thread.
         """
         by_program = {part: list(of) for part, of in groupby(tasks, lambda task: task.part)}
-        programs, compiled = list(by_program), count(1)
+        programs, compiled, begun = list(by_program), count(1), set[int]()
         on_compiled(0, len(programs))
-        futures: dict[int, Future] = {}
-        try:
-            for number, program in enumerate(programs):
-                for ahead in programs[number : number + _MOST_COMPILERS]:
-                    if ahead not in futures:
-                        futures[ahead] = self._compiling(ahead, range(*by_program[ahead][0].draws))
-                        futures[ahead].add_done_callback(
-                            lambda _: on_compiled(next(compiled), len(programs))
-                        )
-                yield from by_program[program]
-        finally:
-            for future in futures.values():
-                future.cancel()
+
+        def tell(one: Future) -> None:
+            if not one.cancelled():
+                on_compiled(next(compiled), len(programs))
+
+        for number, program in enumerate(programs):
+            for ahead in programs[number : number + _MOST_COMPILERS]:
+                if ahead not in begun:
+                    begun.add(ahead)
+                    draws = range(*by_program[ahead][0].draws)
+                    self._compiling(ahead, draws).add_done_callback(tell)
+            yield from by_program[program]
+
+    def close(self) -> None:
+        """Drop the compilations that have not begun; the process would wait for them at its end."""
+        self._compilers.shutdown(wait=False, cancel_futures=True)
 
     def _begin_to_compile(self, program: int, draws: range) -> Future:
         return self._compilers.submit(self._compile, program, draws)
