@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -16,7 +17,7 @@ from support.studies import PAPER, small_study
 from support.sweep_directories import STUDIES, make_study, read_parts
 
 from sinsjax.arena.simulated_record import simulated_record
-from sinsjax.engine.batch import LANES
+from sinsjax.engine.batch import LANES, map_in_threads
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
@@ -187,3 +188,24 @@ def test_failures_count_diverged_and_nonfinite_runs() -> None:
 def test_record_for_simulated_study_is_refused() -> None:
     with pytest.raises(InputError, match="reads no record"):
         TaskRunner(Job(small_study(), StoredRecord(simulated_record(small_study()), None)))
+
+
+def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """More threads than compilers take all tasks while the last program has not begun."""
+    compile_program, told = TaskRunner._compile, list[tuple[int, int]]()
+
+    def slow(self: TaskRunner, program: int, draws: range) -> None:
+        time.sleep(0.2)
+        compile_program(self, program, draws)
+
+    monkeypatch.setattr(TaskRunner, "_compile", slow)
+    monkeypatch.setattr(jax, "devices", lambda: [None])
+    runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
+    (tasks,) = runner.plan_tasks()
+    ahead = runner.compile_ahead(tasks, lambda *counts: told.append(counts))
+    found = list(map_in_threads(runner.compute_tables, ahead, len(tasks)))
+    runner.close()
+    assert [result.task for result in found] == tasks
+    assert told == [(0, 2), (1, 2), (2, 2)]
