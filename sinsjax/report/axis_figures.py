@@ -14,9 +14,8 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
 from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
-from sinsjax.report.base import Block, Picture, Text, describe_intervals
+from sinsjax.report.base import Block, Picture, describe_intervals
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.keys import is_condition_key, is_method_setting
 from sinsjax.study.study import Study
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
@@ -69,20 +68,19 @@ def build_axis_figures(source: Source) -> list[Block]:
             drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS_NOTE}")
         )
     if insignificant:
-        blocks.append(
-            Text(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
-        )
+        blocks.append(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
     return blocks
 
 
-def repeated_variants_note(source: Source) -> Iterator[Text]:
-    """Return a note on how tables count duplicate variants, if there are any."""
+def repeated_variants_note(source: Source) -> Iterator[str]:
+    """Yield a note on how tables count duplicate variants, if there are any."""
     if keys := source.study.idle_keys():
         variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
-        yield Text(
-            render_sentence(
-                "repeated_variants", source=source, variants=variants, kept=kept, keys=keys
-            )
+        yield (
+            f"{variants - kept:,} of the {variants:,} variants repeat another one, because"
+            f" {' and '.join(keys)} {'has' if len(keys) == 1 else 'have'} no effect there. All"
+            f" numbers here count repeated variants once: {source.runs * kept // variants:,} of"
+            f" {source.runs:,} runs. The Parquet files contain all."
         )
 
 
@@ -111,7 +109,8 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
         numbers(criterion.ok_column) > 0, criterion.outside_floor_band(numbers), np.nan
     )
     mark = (
-        f" Cross-hatched: {render_sentence('not_converged', criterion=criterion)}"
+        f" Cross-hatched: most of the runs that are ok end more than {criterion.band_arcmin:g}'"
+        " from their bias floors, and their errors happen to be small."
         if np.any([one.not_converged for one in cells])
         else ""
     )
