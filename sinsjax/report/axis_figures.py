@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from sinsjax import analysis, plots
 from sinsjax.analysis.grids import split_into_panels
@@ -93,6 +94,10 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
     columns = (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
     times = [name for name in ("reset_times_s",) if "reset_count" in (row_key, column_key)]
     table = source.rows([*by, row_key, column_key, *columns, *times])
+    # A run that ends without success settles never, as in the verdict.
+    settle_s = pc.if_else(table[criterion.ok_column], table[criterion.settle_column], None)
+    place = table.column_names.index(criterion.settle_column)
+    table = table.set_column(place, table.field(place), settle_s)
     _, panels = split_into_panels(table, row_key, column_key, by)
     numbers = partial(analysis.numeric_column, table)
     cells = [
