@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.records.column_names import named_turns
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
@@ -52,13 +51,15 @@ class Flaw(NamedTuple):
 class Anomaly(NamedTuple):
     """Samples, ``begin`` up to but not including ``end``, that are impossible for a base at rest.
 
-    ``is_certain`` if they are certainly wrong; the message does not name the file.
+    ``is_certain`` if they are certainly wrong, ``hides_north`` if no heading can be found with
+    them, whereas pitch and roll can; the message does not name the file.
     """
 
     begin: int
     end: int
     is_certain: bool
     text: str
+    hides_north: bool = False
 
 
 class Record(NamedTuple):
@@ -212,81 +213,74 @@ class Fault(NamedTuple):
 
 def find_fault(layout: RecordLayout) -> Fault | None:
     """Return the first fault of a layout; None if it is valid."""
-    return next((Fault(*entry) for entry in _iter_layout_faults(layout)), None)
+    return next(_iter_faults(layout), None)
 
 
-def _iter_layout_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
+def _iter_faults(layout: RecordLayout) -> Iterator[Fault]:
     # Only the first fault is read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
-        yield "format", _not_one_of_text(layout.format, _FORMATS)
+        yield Fault("format", _not_one_of_text(layout.format, _FORMATS))
     if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
-        yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
+        yield Fault("rate_hz", f"must be positive, not {layout.rate_hz!r}")
     try:
         parse_axes_order(layout.axes_order)
     except ValueError as error:
-        yield "axes_order", str(error)
+        yield Fault("axes_order", str(error))
     if len(layout.mounting_deg) != 3 or not all(map(math.isfinite, layout.mounting_deg)):
-        yield "mounting_deg", "must have a finite pitch, roll and yaw"
-    if layout.format != "psins":
-        yield from _iter_column_faults(layout)
-
-
-def _iter_column_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
-    for key, unit, known in (
-        ("gyro_unit", layout.gyro_unit, GYRO_UNITS),
-        ("accel_unit", layout.accel_unit, ACCEL_UNITS),
+        yield Fault("mounting_deg", "must have a finite pitch, roll and yaw")
+    if layout.format == "psins":
+        return
+    for key, units in (
+        ("gyro_unit", {**GYRO_UNITS[INCREMENTS], **GYRO_UNITS[RATES]}),
+        ("accel_unit", {**ACCEL_UNITS[INCREMENTS], **ACCEL_UNITS[RATES]}),
+        ("time_unit", TIME_UNITS),
+        ("time_fraction_unit", TIME_UNITS),
     ):
-        all_units = [name for units in known.values() for name in units]
-        if unit not in all_units:
-            yield key, _not_one_of_text(unit, all_units)
-    key_by_column = {layout.time_column: "time_column"}
-    if layout.time_fraction_column:
-        if not layout.time_column:
-            yield "time_fraction_column", "requires a time_column"
-        if layout.time_fraction_column == layout.time_column:
-            yield "time_fraction_column", "is the time_column already"
-        key_by_column[layout.time_fraction_column] = "time_fraction_column"
-    for key, names in (
-        ("gyro_columns", layout.gyro_columns),
-        ("accel_columns", layout.accel_columns),
-    ):
-        if len(names) != 3:
-            yield key, f"must name three columns, not {len(names)}"
+        if getattr(layout, key) not in units:
+            yield Fault(key, _not_one_of_text(getattr(layout, key), units))
+    if layout.time_fraction_column and not layout.time_column:
+        yield Fault("time_fraction_column", "requires a time_column")
+    key_by_column: dict[str, str] = {}
+    for key in ("time_column", "time_fraction_column", "gyro_columns", "accel_columns"):
+        names = getattr(layout, key)
+        if isinstance(names, str):
+            names = (names,) if names else ()
+        elif len(names) != 3 or not all(names):
+            yield Fault(key, f"must name three columns, not {len([*filter(None, names)])}")
         for name in names:
-            if not name:
-                yield key, "a column name is empty"
             if name in key_by_column:
-                yield key, f"column {name!r} is already used in {key_by_column[name]}"
+                yield Fault(key, f"column {name!r} is already used in {key_by_column[name]}")
+            if layout.columns and name not in layout.columns:
+                yield Fault(key, f"column {name!r} is not in columns")
             key_by_column[name] = key
-    turns = named_turns(layout.gyro_columns)
+    for key in ("gyro_scale", "accel_scale", "time_scale"):
+        if not all(math.isfinite(f) and f for f in np.atleast_1d(getattr(layout, key)).tolist()):
+            yield Fault(key, "must be finite and not 0")
+    yield from _iter_name_faults(layout)
+    if not 0 <= layout.max_gap_s < math.inf:
+        yield Fault("max_gap_s", f"must not be negative, not {layout.max_gap_s!r}")
+    if not layout.time_column and layout.rate_hz is None:
+        yield Fault("rate_hz", "required without a time_column")
+
+
+def _iter_name_faults(layout: RecordLayout) -> Iterator[Fault]:
+    """Yield contradictions between the names of columns and the axes and signs that are given."""
+    for sensor in ("gyro", "accel"):
+        names, scale = getattr(layout, f"{sensor}_columns"), getattr(layout, f"{sensor}_scale")
+        for name, factor in zip(names, scale, strict=True):
+            if factor > 0 and re.search(r"(^|[_.\s])(neg(ative)?|minus)([_.\s]|$)", name, re.I):
+                text = f"column {name!r} has a minus in its name: give it a negative {sensor}_scale"
+                yield Fault(f"{sensor}_columns", f"{text} (or name the column otherwise)")
+    words = [re.search(r"roll|pitch|yaw", name.lower()) for name in layout.gyro_columns]
+    turns = [("pitch", "roll", "yaw").index(word[0]) for word in words if word]
     index, _ = parse_axes_order(layout.axes_order)
-    if turns and tuple(index[body] for body in turns) != (0, 1, 2):
+    if set(turns) == {0, 1, 2} and [index[turn] for turn in turns] != [0, 1, 2]:
         ordered = [layout.gyro_columns[turns.index(index.index(axis))] for axis in range(3)]
         text = (
             "must be in the order of x, y, z, where roll is about the front: with axes_order ="
             f" {layout.axes_order!r} these are {', '.join(map(repr, ordered))}"
         )
-        yield "gyro_columns", text
-    for key, scale in (
-        ("gyro_scale", layout.gyro_scale),
-        ("accel_scale", layout.accel_scale),
-        ("time_scale", (layout.time_scale,)),
-    ):
-        if not all(math.isfinite(factor) and factor for factor in scale):
-            yield key, "must be finite and not 0"
-    for key, unit in (
-        ("time_unit", layout.time_unit),
-        ("time_fraction_unit", layout.time_fraction_unit),
-    ):
-        if unit not in TIME_UNITS:
-            yield key, _not_one_of_text(unit, TIME_UNITS)
-    if layout.columns:
-        for name in sorted(key_by_column.keys() - {""} - {*layout.columns}):
-            yield key_by_column[name], f"column {name!r} is not in columns"
-    if not 0 <= layout.max_gap_s < math.inf:
-        yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
-    if not layout.time_column and layout.rate_hz is None:
-        yield "rate_hz", "required without a time_column"
+        yield Fault("gyro_columns", text)
 
 
 def quantity_of(unit: str) -> str:

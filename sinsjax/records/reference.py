@@ -8,8 +8,7 @@ import numpy as np
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds, shorten
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Record, RecordLayout
-from sinsjax.records.tables import ColumnTable, open_parquet
-from sinsjax.records.text import open_csv
+from sinsjax.records.reader import Table, open_parquet, open_text
 
 _LONGEST_GAP_S = 5.0  # that is interpolated; a swinging base turns within seconds
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
@@ -56,12 +55,12 @@ def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Refe
         >>> sinsjax.read_reference("reference.csv").attitude_deg[:, 2].tolist()  # yaw
         [10.0, 12.0]
     """
-    table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
+    table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_text(path)
     return reference_from_table(path, table, layout)
 
 
 def reference_from_table(
-    path: str | Path, table: ColumnTable, layout: RecordLayout | None = None
+    path: str | Path, table: Table, layout: RecordLayout | None = None
 ) -> Reference:
     """Return the reference in an opened table, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]

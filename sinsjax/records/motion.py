@@ -1,0 +1,312 @@
+"""Mean rate and specific force of a span of a record, with sways averaged out, and its turns.
+
+In the frame carried by the gyros the vertical drifts by the horizontal Earth rate, however the base
+moves. What the level sensor biases add turns with the base, so that turns about the vertical
+separate it.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sinsjax.records.layout import FloatArray, Record
+from sinsjax.units import DEG, DEG_PER_H
+
+EARTH_RATE = 15.041 * DEG_PER_H
+"""Earth rate, rad/s."""
+
+_BLOCKS = 12
+_MAX_STEPS = 2**19  # analysed steps of a span; in a longer one, samples are summed
+_MIN_TURN = 20 * DEG  # a smaller turn does not separate biases from Earth rate
+_MAX_LEVEL_SWAY = 5 * DEG  # median; a base that sways by more is not turned on the spot
+_WINDOWS = 30
+_ITERATIONS = 20
+_MAX_RESIDUAL = 6.0  # times the median
+_MAX_DROPPED = 6
+
+
+class Turns(NamedTuple):
+    """Turns about the vertical, SI units.
+
+    Attributes:
+        angle: largest minus smallest turn angle psi, rad.
+        drift: rate at which the vertical turns in the frame carried by the gyros, with the sensor
+            biases taken out, rad/s: the horizontal Earth rate.
+        drift_uncertainty: 3 sigma of the drift, rad/s.
+        gyro_bias: least level gyro bias, its uncertainty taken off, rad/s.
+        accel_bias: least level accelerometer bias, relative to gravity, in the same way.
+    """
+
+    angle: float
+    drift: float
+    drift_uncertainty: float
+    gyro_bias: float
+    accel_bias: float
+
+
+class Means(NamedTuple):
+    """Mean measurements of a span, in the body axes at its middle, SI units.
+
+    Attributes:
+        rate: (3,) mean rate, with sways averaged out.
+        rate_uncertainty: uncertainty of the mean rate from sways and noise.
+        turn_angle: angle by which the base rotated in addition to the mean rate, rad.
+        force: (3,) mean specific force.
+        force_magnitude: mean magnitude of the specific force.
+        resolved_ratio: magnitude of the mean force resolved by the gyros, over the mean magnitude.
+        tilt_change: largest angle between the mean forces of blocks and that of all, rad.
+        vertical_drift: rate at which the vertical turns in the frame carried by the gyros, rad/s:
+            the horizontal Earth rate, however the base moves, but for the level part of their bias.
+        drift_uncertainty: uncertainty of the drift from accelerations of the base, rad/s.
+        length_s: length of the span.
+        turns: turns about the vertical; None if the base does not turn.
+    """
+
+    rate: FloatArray
+    rate_uncertainty: float
+    turn_angle: float
+    force: FloatArray
+    force_magnitude: float
+    resolved_ratio: float
+    tilt_change: float
+    vertical_drift: float
+    drift_uncertainty: float
+    length_s: float
+    turns: Turns | None
+
+
+def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
+    """Return the mean measurements of a span of a record.
+
+    Args:
+        record: the record, without missing samples in the span.
+        span: first sample, and the one after the last.
+        gravity: expected magnitude of the mean specific force, m/s^2.
+    """
+    count = -(-(span[1] - span[0]) // _MAX_STEPS)
+    dtheta, dv = (
+        rows[slice(*span)][: (span[1] - span[0]) // count * count].reshape(-1, count, 3).sum(axis=1)
+        for rows in (record.dtheta, record.dv)
+    )
+    n, dt = len(dtheta), count / record.rate_hz
+    q = integrate_attitudes(dtheta)
+    q = _multiply(q[n // 2] * [1, -1, -1, -1], q)  # to the body axes at the middle
+    rotations = _rotation_steps(q, dtheta)
+    force = _rotate(q[:-1], dv) / dt
+    rate = _weighted_mean(rotations) / dt
+    parts = ((0.0, 0.9), (0.1, 1.0), (0.05, 0.95))
+    uncertainty = 3 * max(_norm(_weighted_mean(rotations, *part) / dt - rate) for part in parts)
+    # Windows of a quarter of the span: one with a turn differs from the median of all.
+    windows = np.array([_weighted_mean(rotations, k / 16, (k + 4) / 16) for k in range(13)]) / dt
+    deviation = np.linalg.norm(windows - np.median(windows, axis=0), axis=1)
+    typical = float(np.median(deviation))
+    uncertainty += typical / 16  # with few sways, all long means share the same error
+    turn_angle = (float(deviation.max()) - 5 * typical) * n * dt / 4 / 2.3  # peak weight over mean
+    if turn_angle > 1 * DEG:
+        rate, uncertainty = np.median(windows, axis=0), 3 * typical
+    second = max(1, round(1 / dt))
+    blocks = dv[: n // second * second].reshape(-1, second, 3).mean(axis=1) / dt
+    magnitudes = _norm(_weighted_mean(force)), float(np.linalg.norm(blocks, axis=1).mean())
+    ups = _directions(dv)
+    drift, drift_uncertainty = _drift(_directions(force), n * dt)
+    return Means(
+        rate=rate,
+        rate_uncertainty=uncertainty,
+        turn_angle=turn_angle,
+        force=dv.mean(axis=0) / dt,
+        # Fast sways shorten the block means, wrong gyros the resolved mean: use the better one.
+        force_magnitude=min(magnitudes, key=lambda size: abs(size - gravity)),
+        resolved_ratio=magnitudes[0] / magnitudes[1],
+        tilt_change=float(np.linalg.norm(ups - ups.mean(axis=0), axis=1).max()),
+        vertical_drift=drift,
+        drift_uncertainty=drift_uncertainty,
+        length_s=n * dt,
+        turns=measure_turns(dtheta, dv, dt),
+    )
+
+
+def vertical_rate(means: Means) -> float:
+    """Return the mean rate about the vertical, rad/s."""
+    return float(means.rate @ means.force) / _norm(means.force)
+
+
+def white_noise(increments: FloatArray, rate_hz: float) -> float:
+    """Return the white noise of increments (n, 3): their standard deviation after 1 s.
+
+    Second differences of white noise have six times its variance, and exclude slow motion.
+    """
+    differences = np.abs(np.diff(increments, n=2, axis=0))
+    return float(np.median(differences)) / 0.6745 / math.sqrt(6) * math.sqrt(rate_hz)
+
+
+def _norm(vector: FloatArray) -> float:
+    return float(np.linalg.norm(vector))
+
+
+def _weighted_mean(rows: FloatArray, begin: float = 0.0, end: float = 1.0) -> FloatArray:
+    """Return the mean of a part of the rows (n, 3), with weights that cancel sways."""
+    first, last = int(begin * len(rows)), max(int(begin * len(rows)) + 1, round(end * len(rows)))
+    weight = np.sin(np.pi * (np.arange(last - first) + 0.5) / (last - first)) ** 4
+    return np.asarray(weight @ rows[first:last] / weight.sum())
+
+
+def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
+    """Return the rotation over each sample in the target axes of q (n + 1, 4); (n, 3), rad.
+
+    Steps of the rotation vector, over which a sway sums to zero for any order of its axes; the
+    transformed gyro increments if the base turns too far for a rotation vector.
+    """
+    q = q * np.sign(q[:, :1] + (q[:, :1] == 0))
+    sine = np.linalg.norm(q[:, 1:], axis=1)
+    angle = 2 * np.arctan2(sine, q[:, 0])
+    if angle.max() > 150 * DEG:
+        return _rotate(q[:-1], dtheta)
+    vector = q[:, 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None]
+    return np.diff(vector, axis=0)
+
+
+def _directions(force: FloatArray) -> FloatArray:
+    """Return the directions of the mean forces of blocks of rows (n, 3)."""
+    ups = np.array([part.sum(axis=0) for part in np.array_split(force, _BLOCKS) if len(part)])
+    return np.asarray(ups / np.maximum(np.linalg.norm(ups, axis=1, keepdims=True), 1e-300))
+
+
+def _drift(ups: FloatArray, length_s: float) -> tuple[float, float]:
+    """Return the drift of directions over a span, rad/s, and its 3 sigma."""
+    time_s = (np.arange(len(ups)) - (len(ups) - 1) / 2) * length_s / len(ups)
+    sum_of_squares = float(time_s @ time_s)
+    slope = time_s @ ups / sum_of_squares
+    scatter = ups - ups.mean(axis=0) - np.outer(time_s, slope)
+    sigma = math.sqrt(float((scatter**2).sum()) / max(1, len(ups) - 2) / sum_of_squares)
+    return _norm(slope), 3 * sigma
+
+
+# Turns
+
+
+def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None:
+    """Return the turns of a base about the vertical; None if it does not turn, or tilts.
+
+    The level part y of the unit mean force of windows is y = c + s t + a e^(i psi) + b P, where s
+    is the drift, P the integral of e^(i psi), and a and b contain the level biases of
+    accelerometers and gyros.
+
+    Args:
+        dtheta: (n, 3) gyro increments.
+        dv: (n, 3) specific-force increments.
+        dt: length of a step, s.
+    """
+    if len(dv) < 2 * _WINDOWS:
+        return None
+    up = dv.sum(axis=0)
+    up = up / (_norm(up) or 1.0)
+    psi = np.cumsum(dtheta @ up)
+    angle = float(np.ptp(psi))
+    seconds = max(1, len(dv) // max(1, round(1 / dt)))
+    forces = np.array([part.sum(axis=0) for part in np.array_split(dv, seconds)])
+    across = np.linalg.norm(np.cross(forces, up), axis=1)
+    if angle < _MIN_TURN or np.median(np.arctan2(across, forces @ up)) > _MAX_LEVEL_SWAY:
+        return None
+    phasor = np.exp(1j * (psi - dtheta @ up / 2))
+    integral = np.cumsum(phasor) * dt - phasor * dt / 2
+    time_s = (np.arange(len(psi)) - (len(psi) - 1) / 2) * dt
+    columns = np.column_stack(
+        [_window_means(values) for values in (np.ones(len(psi)), time_s, phasor, integral)]
+    )
+    y = _level_part(_rotate(integrate_attitudes(dtheta)[:-1], dv))
+    if not (np.isfinite(columns).all() and np.isfinite(y).all()):
+        return None
+    used = _steady_windows(columns, y)
+    inverse = _inverse(columns[used])
+    solution = inverse @ y[used]
+    residual = y[used] - columns[used] @ solution
+    variance = float((np.abs(residual) ** 2).sum()) / (int(used.sum()) - columns.shape[1])
+    uncertainty = 3 * np.sqrt(variance * (np.abs(inverse) ** 2).sum(axis=1))
+    least = np.maximum(np.abs(solution) - uncertainty, 0.0)
+    return Turns(
+        angle=angle,
+        drift=float(abs(solution[1])),
+        drift_uncertainty=float(uncertainty[1]),
+        gyro_bias=float(least[3]),
+        accel_bias=float(least[2]),
+    )
+
+
+def _steady_windows(columns: NDArray[Any], y: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which windows have no strong accelerations, as those of a turn by hand have."""
+    weight = np.ones(len(y))
+    for _ in range(_ITERATIONS):
+        solution = _inverse(columns * weight[:, None]) @ (y * weight)
+        size = np.abs(y - columns @ solution)
+        typical = float(np.median(size)) or 1.0
+        weight = 1 / np.sqrt(np.maximum(size / typical, 1.0))
+    used = size <= _MAX_RESIDUAL * typical
+    return used if int((~used).sum()) <= _MAX_DROPPED else np.ones(len(y), bool)
+
+
+def _inverse(columns: NDArray[Any]) -> NDArray[Any]:
+    """Return the pseudo-inverse of columns of different units."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)  # zero with whole turns a window
+    return np.asarray(np.linalg.pinv(columns / scale, rcond=1e-9) / scale[:, None])
+
+
+def _window_means(values: NDArray[Any]) -> NDArray[Any]:
+    return np.array([part.mean(axis=0) for part in np.array_split(values, _WINDOWS)])
+
+
+def _level_part(force: FloatArray) -> NDArray[np.complex128]:
+    """Return the level part of the unit mean force of each window, as a complex number."""
+    unit = _window_means(force)
+    unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
+    up = unit.sum(axis=0)
+    up = up / (_norm(up) or 1.0)
+    front = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    front = front / _norm(front)
+    return np.asarray(unit @ front + 1j * (unit @ np.cross(up, front)))
+
+
+# Attitudes, as quaternions (..., 4), scalar first
+
+
+def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
+    """Return quaternions (n + 1, 4) from the body axes at each time to those at the start.
+
+    Args:
+        dtheta: (n, 3) rotation increments, rad; two-sample coning is compensated.
+    """
+    n = len(dtheta)
+    previous = np.concatenate([dtheta[:1], dtheta[:-1]])
+    vector = dtheta + np.cross(previous, dtheta) / 12
+    angle = np.linalg.norm(vector, axis=1, keepdims=True)
+    # sin(a/2)/a by NumPy's sin(pi x)/(pi x), which is defined at zero.
+    steps = np.hstack([np.cos(angle / 2), vector * np.sinc(angle / 2 / np.pi) / 2])
+    # Products within all blocks at once, then of blocks: two short loops instead of a long one.
+    size = math.isqrt(n) + 1
+    blocks = np.tile([1.0, 0.0, 0.0, 0.0], (size * size, 1))
+    blocks[:n] = steps
+    blocks = blocks.reshape(size, size, 4)
+    for k in range(1, size):
+        blocks[:, k] = _multiply(blocks[:, k - 1], blocks[:, k])
+    starts = np.tile([1.0, 0.0, 0.0, 0.0], (size, 1))
+    for k in range(1, size):
+        starts[k] = _multiply(starts[k - 1], blocks[k - 1, -1])
+    q = _multiply(starts[:, None], blocks).reshape(-1, 4)[:n]
+    return np.concatenate([[[1.0, 0.0, 0.0, 0.0]], q])
+
+
+def _multiply(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the Hamilton products of quaternions (..., 4)."""
+    aw, ax, ay, az = (a[..., k] for k in range(4))  # np.moveaxis takes as long as the products
+    bw, bx, by, bz = (b[..., k] for k in range(4))
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    return np.stack([w, x, y, aw * bz + ax * by - ay * bx + az * bw], axis=-1)
+
+
+def _rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Return vectors (n, 3) rotated by quaternions (n, 4)."""
+    across = 2 * np.cross(q[:, 1:], v)
+    return v + q[:, :1] * across + np.cross(q[:, 1:], across)
