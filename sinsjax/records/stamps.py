@@ -27,6 +27,7 @@ _AVERAGED_STEPS = 8  # of which some may be late
 _MAX_MISSING_FACTOR = 10  # times the samples present; a larger gap is a set clock
 _POSSIBLE_HZ = 0.5, 5000.0  # rates of IMUs
 _PLACEHOLDER_HZ = 100.0
+_MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeated rows
 _UNIT = re.compile(r"(?:^|[\s_.\[(])(nano|micro|milli|[nmu])?s(?:ec(?:ond)?s?)?[\])\s]*$")
 _UNITS = {"n": "ns", "nano": "ns", "u": "us", "micro": "us", "m": "ms", "milli": "ms", None: "s"}
 _TIME_NAME = re.compile(
@@ -226,7 +227,8 @@ def propose_clock(
         if name == given or name not in taken and table.names.count(name) == 1
         and (name in dates or name in numbers and _TIME_NAME.search(name))
     ]  # fmt: skip
-    columns = dict(zip(names, table.read(names, blanks=True, dates=dates), strict=True))
+    read = table.read(names, blanks=True, dates=dates) if names else []
+    columns = dict(zip(names, read, strict=True))
     units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in names}
     fractions = {
         name: units[name] for name in names
@@ -278,7 +280,9 @@ def _try_clock(
     layout = RecordLayout("csv", **fields, time_scale=answers.get("time_scale", 1.0))
     time_s = combine_times([columns[column] for column in layout.time_columns], layout)
     time_s = time_s[np.isfinite(time_s)]
-    time_s = time_s[np.diff(time_s, prepend=-np.inf) != 0]  # without repeated rows
+    is_new = np.diff(time_s, prepend=-np.inf) != 0
+    if is_new.mean() > _MIN_NEW:
+        time_s = time_s[is_new]
     try:
         rate_hz = find_sampling(path, layout, time_s, lambda k: k + 1).rate_hz
     except InputError as error:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
+from sinsjax.messages import format_count
 from sinsjax.platform.files import atomic_write
 from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
@@ -85,8 +86,8 @@ def record_from_table(path: str | Path, layout: RecordLayout, table: Table) -> R
         repeated = find_repeated_rows(time_s, columns) & kept
         if count := int(repeated.sum()):
             first = row_number(int(repeated.argmax()))
-            text = "rows that repeat the one before them are left out"
-            remarks.append(f"{count} {text} (row {first}{' and others' * (count > 1)})")
+            text = f"{format_count(count, 'row')} left out that repeat the one before"
+            remarks.append(f"{text}, the first in row {first}")
         samples = np.flatnonzero(kept & ~repeated)
         if len(samples) < len(time_s):
             columns, time_s = [column[samples] for column in columns], time_s[samples]
