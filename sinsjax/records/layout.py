@@ -41,7 +41,7 @@ _RATE_TOLERANCE = 1e-4
 
 
 class Flaw(NamedTuple):
-    """Missing samples of a record, ``begin`` up to but not including ``end``, and the message."""
+    """Missing samples of a record, from ``begin`` to before ``end``, and the message."""
 
     begin: int
     end: int
@@ -49,17 +49,13 @@ class Flaw(NamedTuple):
 
 
 class Anomaly(NamedTuple):
-    """Samples, ``begin`` up to but not including ``end``, that are impossible for a base at rest.
-
-    ``is_certain`` if they are certainly wrong, ``hides_north`` if no heading can be found with
-    them, whereas pitch and roll can; the message does not name the file.
-    """
+    """Samples, from ``begin`` to before ``end``, that are impossible for a base at rest."""
 
     begin: int
     end: int
-    is_certain: bool
-    text: str
-    hides_north: bool = False
+    is_certain: bool  # that they are wrong
+    text: str  # without the file
+    hides_north: bool = False  # pitch and roll can be found, but no heading
 
 
 class Record(NamedTuple):
@@ -78,8 +74,7 @@ class Record(NamedTuple):
         source: the file's name, for messages.
         flaws: missing samples, which are nan in dtheta and dv.
         filled: number of missing samples that were interpolated.
-        layout: layout of arrays, for messages about their units and axes; None for a file, whose
-            layout is in the study.
+        layout: of arrays, for messages; None for a file, whose layout is in the study.
         anomalies: samples that are impossible for a base at rest.
         remarks: what was left out or assumed while the file was read, one line each.
     """
@@ -103,34 +98,13 @@ class Record(NamedTuple):
 class RecordLayout(NamedTuple):
     """Which column of a file is what, in which unit, on which axis, and at what time.
 
-    The fields are keys of a study's ``[record]`` section.
-
-    Attributes:
-        format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order,
-            mounting_deg and rate_hz. "arrays" for arrays in memory.
-        columns: names of all columns of a text file that does not name them; () if it does.
-        skip_rows: lines of a text file before its names, or before its samples.
-        time_column: time at the end of each sample; "" if the file has no time.
-        time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates or times of
-            day.
-        time_scale: multiplier of the time column, in its unit.
-        time_fraction_column: column with the fraction of a second that time_column lacks; "" if
-            none.
-        time_fraction_unit: unit of the fraction.
-        gyro_columns: three names, in the record's own x, y, z.
-        accel_columns: three names, in the record's own x, y, z.
-        gyro_unit: a unit of `GYRO_UNITS`; that of an increment for increments over each sample,
-            that of a rate for rates averaged over each sample.
-        accel_unit: a unit of `ACCEL_UNITS`, likewise.
-        gyro_scale: multiplier of each gyro column, in its unit: that of one count, or -1.
-        accel_scale: multiplier of each accelerometer column, likewise.
-        axes_order: the record's axes that point right, front and up: "y-xz" means that right is +y
-            of the record, front is -x and up is +z; or a name of `NAMED_AXES`.
-        mounting_deg: attitude of these axes in the vehicle: pitch, roll and yaw
-            (counter-clockwise), deg.
-        rate_hz: sample rate, Hz; None takes it from the header or the time column.
-        max_gap_s: longest time between two good samples across which missing ones are
-            interpolated.
+    The fields are keys of a study's ``[record]`` section (``sinsjax keys record``), with the sample
+    rate. Increments are over each sample, rates averaged over it, stamps at its end. ``format`` may
+    be "arrays" for arrays in memory; PSINS text uses only axes_order, mounting_deg and rate_hz.
+    Columns of sensors are in the record's own x, y, z; scales multiply them, in their unit.
+    ``axes_order`` names the record's axes that point right, front and up: "y-xz" means that right
+    is +y of the record, front is -x and up is +z; or is a name of `NAMED_AXES`. ``mounting_deg`` is
+    the attitude of these axes in the vehicle. "" is no column of times, None a rate from the file.
     """
 
     format: str
@@ -173,13 +147,7 @@ def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 class Note(NamedTuple):
-    """Reason for the value of a layout's key.
-
-    Attributes:
-        reason: the reason; "" for none.
-        doubt: the doubt about it; "" for none.
-        question: why the key is open, with the evidence for each candidate; "" if it is not.
-    """
+    """Reason for the value of a layout's key, the doubt about it, or why it is open; "" if none."""
 
     reason: str
     doubt: str = ""
@@ -191,17 +159,9 @@ PSINS_LAYOUT = RecordLayout("psins")
 
 
 def check_layout(layout: RecordLayout, source: str) -> None:
-    """Reject an invalid layout.
-
-    Args:
-        layout: the layout.
-        source: name of the file with the keys, at the start of the message.
-
-    Raises:
-        InputError: names the key and the fault.
-    """
-    if layout_fault := find_fault(layout):
-        raise InputError(f"{source}: {layout_fault.key}: {layout_fault.text}")
+    """Reject an invalid layout; the message begins with the source and names the key."""
+    if fault := find_fault(layout):
+        raise InputError(f"{source}: {fault.key}: {fault.text}")
 
 
 class Fault(NamedTuple):
@@ -309,16 +269,10 @@ def _not_one_of_text(value: str, known: Iterable[str]) -> str:
 
 
 def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
-    """Parse an order of axes: the record's axis and sign for body right, front and up.
-
-    Args:
-        order: a signed permutation of xyz, such as "y-xz", or a name of `NAMED_AXES`.
-
-    Returns:
-        The three indices into the record's axes, and the three signs (3,).
+    """Return the record's axes for body right, front and up: three indices and signs (3,).
 
     Raises:
-        ValueError: not a signed permutation of xyz, or left-handed.
+        ValueError: not a signed permutation of xyz, such as "y-xz", or left-handed.
     """
     order = NAMED_AXES.get(order, order)
     terms = re.findall(r"([+-]?)([xyz])", order)
@@ -330,8 +284,7 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
         )
     index = ["xyz".index(name) for name in names]
     signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in terms])
-    matrix = signs[:, None] * np.eye(3)[index]
-    if np.linalg.det(matrix) < 0:
+    if np.linalg.det(signs[:, None] * np.eye(3)[index]) < 0:
         raise ValueError(f"{order!r} is left-handed: it mirrors the axes; change one sign")
     return index, signs
 
@@ -339,9 +292,8 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
 def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
     """Return the rotation (3, 3) from the axes of the box to those of the vehicle.
 
-    Args:
-        mounting_deg: attitude of the box in the vehicle: pitch, roll and yaw, deg, in the order of
-            `Record.attitude_deg`, C = Rz(yaw) Rx(pitch) Ry(roll).
+    The attitude of the box is in the order of `Record.attitude_deg`, C = Rz(yaw) Rx(pitch)
+    Ry(roll).
     """
     (cp, cr, cy), (sp, sr, sy) = (f(np.multiply(mounting_deg, DEG)) for f in (np.cos, np.sin))
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
@@ -368,20 +320,11 @@ def from_body_axes(values: FloatArray, order: str) -> FloatArray:
 
 
 def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, source: str) -> float:
-    """Determine the sample rate from those of the file and of the layout.
+    """Return the sample rate of the layout, or else that of the file, Hz.
 
-    Args:
-        file_hz: the rate according to the file.
-        layout: its ``rate_hz`` takes precedence if given.
-        uncertainty: relative uncertainty of found_hz, in addition to a clock's 1e-4.
-        source: start of the error message.
-
-    Returns:
-        The rate, Hz. A rate from the file is rounded to 12 digits, so that an interval of 0.01 s
-        means 100 Hz.
-
-    Raises:
-        InputError: the two rates differ.
+    A rate from the file is rounded to 12 digits, so that an interval of 0.01 s means 100 Hz. It may
+    differ from the layout's by ``uncertainty``, relative, and the 1e-4 of a clock; otherwise the
+    error begins with the source.
     """
     file_hz = float(f"{file_hz:.12g}")
     if layout.rate_hz is None:
@@ -392,16 +335,9 @@ def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, sourc
 
 
 def require_span(record: Record, start_s: float, needed_s: float, breakdown: str = "") -> None:
-    """Reject a record that does not cover a time span, or lacks samples within it.
+    """Reject a record that does not cover a time span from its beginning, or lacks samples in it.
 
-    Args:
-        record: the record.
-        start_s: start of the span, from the beginning of the record, s.
-        needed_s: length of the span, s.
-        breakdown: composition of that length as text, after a blank.
-
-    Raises:
-        InputError: states the available and the needed length, or the missing samples.
+    ``breakdown`` is the composition of the needed length as text, after a blank.
     """
     available_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:

@@ -26,20 +26,20 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten
+from sinsjax.records.layout import FloatArray
 from sinsjax.records.stamps import parse_iso
 
 MISSING_TEXT = "empty or not finite"
 
-MAX_MAGNITUDE = 1e30
-"""Largest magnitude accepted in a record; squares and sums of such numbers stay finite."""
-
 MIN_COLUMNS = 6
 """Columns of an inertial record."""
 
-_MAX_COLUMNS = 1000
-_HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 20, 200, 2**15
+_MAX_MAGNITUDE = 1e30  # of numbers; squares and sums of such stay finite
+_MAX_COLUMNS, _HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 1000, 20, 200, 2**15
 _COMMENTS = ("#", "%", "//")
 _BLANK_CELLS = ["", "nan", "NaN", "NAN"]
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+_NO_NUMBER = re.compile(r"[+-]?(nan|inf|infinity)?", re.IGNORECASE)
 _NO_TEXT = (
     "not text in UTF-8 (unpack it, or convert it: `iconv -f CP1252 -t UTF-8 LOG > NEW` for text of"
     " Windows; to CSV from MATLAB, HDF5, a ROS bag or a spreadsheet)"
@@ -51,43 +51,39 @@ class Table(NamedTuple):
 
     Attributes:
         names: all columns of the file, in order.
-        read: (names, blanks=False, dates=(), texts=()) returns the named columns, (T,) each, T > 0.
-            Missing values are nan with ``blanks`` and otherwise rejected. Dates with time in the
-            columns ``dates`` become seconds since 1970; the columns ``texts`` are not converted.
+        read: (names, blanks=False, dates=()) returns the named columns, (T,) each, T > 0. Missing
+            values are nan with ``blanks`` and otherwise rejected. Dates with time in the columns
+            ``dates`` become seconds since 1970.
         row_number: function of sample k that returns its row, for messages; after ``read``.
         format: "csv" or "parquet"; "arrays" for columns in memory.
         head: cells of the first rows as text, by name.
         units: cells of a row of units, by name.
         comments: lines before the samples.
-        description: description of the file in words.
     """
 
     names: list[str]
-    read: Callable[..., list[NDArray[Any]]]
+    read: Callable[..., list[FloatArray]]
     row_number: Callable[[int], int]
     format: str
     head: Mapping[str, Sequence[str]] = MappingProxyType({})
     units: Mapping[str, str] = MappingProxyType({})
     comments: Sequence[str] = ()
-    description: str = ""
 
     @property
     def numbers(self) -> set[str]:
         """Names of the columns whose first cells are numbers or empty."""
-        return {n for n, cells in self.head.items() if all(map(is_number, filter(None, cells)))}
+        return {n for n, cells in self.head.items() if all(not c or is_number(c) for c in cells)}
 
     @property
     def dates(self) -> set[str]:
         """Names of the columns whose first cells are dates with time, or times of day."""
-        filled = {name: [*filter(None, cells)] for name, cells in self.head.items()}
-        return {name for name, cells in filled.items() if cells and all(map(_is_date, cells))}
+        return {n for n, cells in self.head.items() if any(cells) and all(map(_is_date, cells))}
 
 
 def open_log(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) -> Table:
     """Open a Parquet file, recognised by its first bytes, or delimited text as `open_text`."""
-    if _read_start(path).startswith(b"PAR1"):
-        return open_parquet(path)
-    return open_text(path, columns, skip_rows)
+    is_parquet = _read_start(path).startswith(b"PAR1")
+    return open_parquet(path) if is_parquet else open_text(path, columns, skip_rows)
 
 
 def _read_start(path: str | Path) -> bytes:
@@ -104,52 +100,66 @@ def _read_start(path: str | Path) -> bytes:
     return start
 
 
+def _check_width(path: str | Path, names: Sequence[str]) -> None:
+    if len(names) > _MAX_COLUMNS:
+        raise InputError(f"{path}: {len(names):,} columns (keep those of one IMU)")
+
+
 def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
     """Return the positions of the wanted columns; raises InputError if missing or repeated."""
     for name in wanted:
-        if name not in names:
-            near = get_close_matches(name, names, n=3)
-            shown = shorten(", ".join(map(repr, names[:12]))) + ", ..." * (len(names) > 12)
-            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
-            raise InputError(f"{path}: no column {name!r}; {hint or f'the file has {shown}'}")
         if names.count(name) > 1:
             raise InputError(f"{path}: column {name!r} appears more than once")
+        if name not in names:
+            shown = shorten(", ".join(map(repr, names[:12]))) + ", ..." * (len(names) > 12)
+            near = " or ".join(map(repr, get_close_matches(name, names, n=3)))
+            hint = f"did you mean {near}?" if near else f"the file has {shown}"
+            raise InputError(f"{path}: no column {name!r}; {hint}")
     return [names.index(name) for name in wanted]
 
 
 def is_number(text: str) -> bool:
     """Return whether a text is a number, or one of the words for none."""
-    try:
-        parse_number(text)
-    except ValueError:
-        return text.lower() in ("nan", "inf", "-inf")
-    return True
+    return bool(_NUMBER.fullmatch(text) or text and _NO_NUMBER.fullmatch(text))
+
+
+def parse_number(text: str) -> float:
+    """Parse one finite number; the ValueError of an invalid text states what is wrong."""
+    shown, value = repr(shorten(text, 24)), math.nan
+    if not text:
+        raise ValueError("is empty")
+    if not is_number(text):
+        raise ValueError(f"{shown} is not a number")
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"{shown} is not finite")
+    if abs(value) > _MAX_MAGNITUDE:
+        raise ValueError(f"{shown} is out of range (beyond {_MAX_MAGNITUDE:g})")
+    return value
 
 
 def _is_date(cell: str) -> bool:
     try:
         parse_iso(cell)
     except ValueError:
-        return False
+        return not cell
     return not is_number(cell)
 
 
-def parse_number(text: str) -> float:
-    """Parse one finite number; the ValueError of an invalid text states what is wrong."""
-    text = text.strip()
-    if not text:
-        raise ValueError("is empty")
-    shown_text = repr(shorten(text, 24))
-    try:
-        # 1_000 and digits of other scripts are numbers in Python, not in a data file.
-        value = float(text.replace("_", "?") if text.isascii() else "?")
-    except ValueError:
-        raise ValueError(f"{shown_text} is not a number") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{shown_text} is not finite")
-    if abs(value) > MAX_MAGNITUDE:
-        raise ValueError(f"{shown_text} is out of range (beyond {MAX_MAGNITUDE:g})")
-    return value
+def check_values(
+    source: str | Path, name: str, values: FloatArray, first_row: int, *, blanks: bool
+) -> FloatArray:
+    """Return values (T,); refuses those out of range, and missing ones unless ``blanks``."""
+    valid = _is_in_range(values, blanks=blanks)
+    if not valid.all():
+        k = int(valid.argmin())
+        is_large = math.isfinite(values[k])
+        text = f"out of range (beyond {_MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
+        raise InputError(f"{source}: row {first_row + k}: column {name!r}: {text}")
+    return values
+
+
+def _is_in_range(values: FloatArray, *, blanks: bool) -> NDArray[np.bool_]:
+    return (np.abs(values) <= _MAX_MAGNITUDE) | (blanks & ~np.isfinite(values))
 
 
 # Text
@@ -163,19 +173,10 @@ class Line(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """Where the columns of a text file are.
-
-    Attributes:
-        names: of the columns.
-        is_named: whether the file or the user names them.
-        units: cells of a row of units; [] without one.
-        delimiter: between the columns.
-        decimal_mark: of the numbers.
-        begin: row of the first line that may be a sample.
-    """
+    """Where the columns of a text file are; `begin` is the row of the first possible sample."""
 
     names: list[str]
-    is_named: bool
+    is_named: bool  # by the file or by the user
     units: list[str]
     delimiter: str
     decimal_mark: str
@@ -185,11 +186,7 @@ class _Shape(NamedTuple):
 def read_lines(path: str | Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the lines of a text file in batches, each with the row of its first line, from 1.
 
-    Args:
-        path: the file, gzipped or not, in UTF-8, or in UTF-16 with its mark.
-
-    Raises:
-        InputError: the file cannot be read, is empty, or is not text.
+    The file may be gzipped; it is in UTF-8, or in UTF-16 with its mark.
     """
     start, row = _read_start(path), 1
     encoding = "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
@@ -224,9 +221,6 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         path: the file.
         columns: names of all columns of a file that does not name them.
         skip_rows: number of lines before the names, or before the samples.
-
-    Raises:
-        InputError: the file cannot be read, or has only blank lines and comments.
     """
     _, lines = next(read_lines(path))
     shape = _find_shape(path, lines, columns, skip_rows)
@@ -234,27 +228,24 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
     rows: list[NDArray[np.int64]] = []
 
     def read(
-        wanted: Sequence[str],
-        *,
-        blanks: bool = False,
-        dates: Collection[str] = (),
-        texts: Collection[str] = (),
-    ) -> list[NDArray[Any]]:
+        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
+    ) -> list[FloatArray]:
         index = find_columns(path, shape.names, wanted)
-        parsers: list[Callable[[str], Any]]
-        parsers = [str if n in texts else parse_iso if n in dates else parse_number for n in wanted]
+        parsers = [parse_iso if name in dates else parse_number for name in wanted]
         parts = []
         rows.clear()
         for first, batch in read_lines(path):
             if data := [*data_lines(batch, first, shape.begin)]:
                 rows.append(np.array([line.row for line in data]))
-                parts.append(_parse_batch(path, shape, data, index, parsers, blanks=blanks))
+                columns = None if dates else _parse_fast(shape, data, index, blanks=blanks)
+                parts.append(columns or _parse(path, shape, data, index, parsers, blanks=blanks))
         if not parts:
             raise InputError(f"{path}: no samples after the header")
         rows[:] = [np.concatenate(rows)]
         return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
-    head = [_split(line.text, shape) for line in islice(data_lines(lines, 1, shape.begin), 20)]
+    start = islice(data_lines(lines, 1, shape.begin), _HEAD_ROWS)
+    head = [_split(line.text, shape) for line in start]
     return Table(
         shape.names,
         read,
@@ -263,13 +254,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         head={n: [c[k] for c in head if k < len(c)] for k, n in enumerate(shape.names)},
         units=dict(zip(shape.names, shape.units, strict=False)),
         comments=lines[: shape.begin - 1],
-        description=f"text with {len(shape.names)} columns by {shape.delimiter!r}",
     )
-
-
-def _check_width(path: str | Path, names: Sequence[str]) -> None:
-    if len(names) > _MAX_COLUMNS:
-        raise InputError(f"{path}: {len(names):,} columns (keep those of one IMU)")
 
 
 def _find_shape(
@@ -278,14 +263,14 @@ def _find_shape(
     """Return where the columns of a file are, from its first lines."""
     data = [*islice(data_lines(lines, 1, skip_rows + 1), _SHAPE_ROWS)]
     if not data:
-        if skip_rows:
-            raise InputError(f"{path}: no samples after row {skip_rows}")
-        kind = "comments (remove their signs?)" if any(lines) else "blank lines"
-        raise InputError(f"{path}: the file has only {kind}")
+        kind = "the file has only comments (remove their signs?) or blank lines"
+        raise InputError(f"{path}: {f'no samples after row {skip_rows}' if skip_rows else kind}")
     rows = [_split(line.text) for line in data]
-    if len(rows[0]) < MIN_COLUMNS and not columns:
-        place = _count_preamble(rows)
-        data, rows = data[place:], rows[place:]
+    if len(rows[0]) < MIN_COLUMNS and not columns:  # a preamble, if the cells of an IMU follow
+        for place, (cells, following) in enumerate(pairwise(rows)):
+            if len(cells) == len(following) and sum(map(is_number, following)) >= MIN_COLUMNS:
+                data, rows = data[place:], rows[place:]
+                break
     delimiter = _find_delimiter(data[0].text)
     has_commas = delimiter != "," and re.search(r"\d,\d", data[-1].text) is not None
     mark = "," if has_commas else "."
@@ -293,13 +278,12 @@ def _find_shape(
     if columns:
         return shape
     if sum(map(is_number, rows[0])) < MIN_COLUMNS:
-        if [*map(len, rows[:2])] == [len(rows[0]), len(rows[0]) + 1] and not rows[1][-1]:
-            rows[0].append("")  # a delimiter ends all lines but that of the names
-        units = rows[1] if len(rows) > 1 and len(rows[1]) == len(rows[0]) else []
-        if any(cell and is_number(cell) for cell in units) or not any(units):
+        names, units = rows[0], rows[1] if len(rows) > 1 else []
+        if len(units) == len(names) + 1 and not units[-1]:
+            names.append("")  # a delimiter ends all lines but that of the names
+        if len(units) != len(names) or not any(units) or any(map(is_number, units)):
             units = []
-        begin = data[1 if units else 0].row + 1
-        return shape._replace(names=rows[0], units=units, begin=begin)
+        return shape._replace(names=names, units=units, begin=data[1 if units else 0].row + 1)
     for line in reversed(lines[: shape.begin - 1]):
         names = _split(line.strip().lstrip("#%/ \t"))
         if len(names) == len(rows[0]) and not any(map(is_number, names)):
@@ -308,19 +292,10 @@ def _find_shape(
     return shape._replace(names=names, is_named=False)
 
 
-def _count_preamble(rows: list[list[str]]) -> int:
-    """Return the number of lines before those with the cells of an IMU; 0 for none."""
-    for place, (cells, following) in enumerate(pairwise(rows)):
-        if len(cells) == len(following) and sum(map(is_number, following)) >= MIN_COLUMNS:
-            return place
-    return 0
-
-
 def _find_delimiter(line: str) -> str:
     """Return the delimiter of a line: the commonest; blanks only without another one."""
-    counts = {mark: line.count(mark) for mark in ",;\t"}
-    best = max(counts, key=lambda mark: counts[mark])
-    return best if counts[best] else " "
+    best = max(",;\t", key=line.count)
+    return best if best in line else " "
 
 
 def _split(line: str, shape: _Shape | None = None) -> list[str]:
@@ -334,40 +309,10 @@ def _split(line: str, shape: _Shape | None = None) -> list[str]:
     return [cell.strip().replace(shape.decimal_mark if shape else ".", ".") for cell in cells]
 
 
-def _parse_batch(
-    path: str | Path,
-    shape: _Shape,
-    data: list[Line],
-    index: list[int],
-    parsers: list[Callable[[str], Any]],
-    *,
-    blanks: bool,
-) -> list[NDArray[Any]]:
-    """Return some columns of consecutive lines."""
-    if all(parse is parse_number for parse in parsers):
-        values = _parse_fast(shape, data, index, blanks=blanks)
-        if values is not None:
-            return values
-    found: list[list[Any]] = [[] for _ in index]
-    for row, text in data:
-        cells = _split(text, shape)
-        if len(cells) != len(shape.names):
-            raise InputError(f"{path}: row {row}: {_describe_width(cells, shape)}")
-        for cells_read, column, parse in zip(found, index, parsers, strict=True):
-            cell = cells[column]
-            try:
-                is_missing = blanks and cell.strip("+-").lower() in ("", "nan", "inf", "infinity")
-                cells_read.append(math.nan if is_missing else parse(cell))
-            except ValueError as error:
-                name = shape.names[column]
-                raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
-    return [np.array(cells_read) for cells_read in found]
-
-
 def _parse_fast(
     shape: _Shape, data: list[Line], index: list[int], *, blanks: bool
-) -> list[NDArray[Any]] | None:
-    """Return columns of numbers; None if one is invalid, as its row is then to be named."""
+) -> list[FloatArray] | None:
+    """Return columns of consecutive lines; None if `_parse` must name an invalid number."""
     keys = [str(column) for column in range(len(shape.names))]
     wanted = [keys[column] for column in index]
     lines: Iterator[str] = (line.text for line in data)
@@ -388,25 +333,38 @@ def _parse_fast(
     except pa.ArrowException:
         return None
     values = [column.to_numpy() for column in table.columns]
-    is_valid = all(is_in_range(column, blanks=blanks).all() for column in values)
+    is_valid = all(_is_in_range(column, blanks=blanks).all() for column in values)
     return values if is_valid and table.num_rows == len(data) else None
 
 
-def is_in_range(values: NDArray[np.float64], *, blanks: bool) -> NDArray[np.bool_]:
-    """Return whether values (T,) are finite, or missing with ``blanks``, and not too large."""
-    return (np.abs(values) <= MAX_MAGNITUDE) | (blanks & ~np.isfinite(values))
-
-
-def _describe_width(cells: list[str], shape: _Shape) -> str:
-    if not cells:
-        return f"not text with cells between {shape.delimiter!r}"
-    if shape.is_named:
-        text = f"the header has {len(shape.names)} columns, this row has {len(cells)}"
-        return f"{text} (if it is the last row: is the file cut off?)"
-    return (
-        f"{len(cells)} cells follow {len(shape.names)} in row {shape.begin}, and no header names"
-        " them (keep the rows of one kind, and name all their columns in [record] columns)"
-    )
+def _parse(
+    path: str | Path,
+    shape: _Shape,
+    data: list[Line],
+    index: list[int],
+    parsers: Sequence[Callable[[str], float]],
+    *,
+    blanks: bool,
+) -> list[FloatArray]:
+    """Return columns of consecutive lines, slowly: dates, or to name the first invalid row."""
+    found = np.full((len(index), len(data)), math.nan)
+    for k, (row, text) in enumerate(data):
+        cells, count = _split(text, shape), len(shape.names)
+        if len(cells) != count:
+            problem = f"the header has {count} columns, this row has {len(cells)}"
+            hint = "if it is the last row: is the file cut off?"
+            if not shape.is_named:
+                problem = f"{len(cells)} cells follow {count} in row {shape.begin}, and no header"
+                hint = "keep the rows of one kind, and name their columns in [record] columns"
+            raise InputError(f"{path}: row {row}: {problem} ({hint})")
+        for values, column, parse in zip(found, index, parsers, strict=True):
+            if not (blanks and _NO_NUMBER.fullmatch(cells[column])):
+                try:
+                    values[k] = parse(cells[column])
+                except ValueError as error:
+                    name = shape.names[column]
+                    raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
+    return [*found]
 
 
 # Parquet
@@ -424,62 +382,42 @@ def open_parquet(path: str | Path) -> Table:
     _check_width(path, names)
 
     def read(
-        wanted: Sequence[str],
-        *,
-        blanks: bool = False,
-        dates: Collection[str] = (),
-        texts: Collection[str] = (),
-    ) -> list[NDArray[Any]]:
+        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
+    ) -> list[FloatArray]:
         find_columns(path, names, wanted)
         if start is None:
             raise InputError(f"{path}: the file has no rows")
-        columns = list[NDArray[Any]]()
+        columns = []
         for name in wanted:
             try:
                 column = file.read([name]).column(name)
             except (pa.ArrowException, OSError, KeyError):
                 raise InputError(f"{path}: damaged: its columns cannot be read") from None
-            if name in texts:
-                columns.append(np.array([str(value) for value in column.to_pylist()]))
-                continue
-            columns.append(_to_numbers(path, name, column, is_date=name in dates))
-            check_values(path, name, columns[-1], 1, blanks=blanks)
+            values = _to_numbers(path, name, column, is_date=name in dates)
+            columns.append(check_values(path, name, values, 1, blanks=blanks))
         return columns
 
     cells = start.to_pydict() if start is not None and len({*names}) == len(names) else {}
     head = {n: ["" if cell is None else str(cell) for cell in cells[n]] for n in cells}
-    description = f"Parquet with {len(names)} columns"
-    return Table(names, read, lambda k: k + 1, "parquet", head=head, description=description)
-
-
-def check_values(
-    source: str | Path, name: str, values: NDArray[np.float64], first_row: int, *, blanks: bool
-) -> None:
-    """Refuse values (T,) out of range, and missing ones unless ``blanks``; names the row."""
-    valid = is_in_range(values, blanks=blanks)
-    if not valid.all():
-        k = int(valid.argmin())
-        is_large = math.isfinite(values[k])
-        text = f"out of range (beyond {MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
-        raise InputError(f"{source}: row {first_row + k}: column {name!r}: {text}")
+    return Table(names, read, lambda k: k + 1, "parquet", head)
 
 
 def _to_numbers(
     path: str | Path, name: str, column: pa.ChunkedArray, *, is_date: bool
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return a column as numbers, or as seconds since 1970; nan if missing."""
     kind = column.type
     if is_date and pa.types.is_timestamp(kind):
         whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
         column = pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
     elif is_date and pa.types.is_string(kind):
-        seconds: list[float | None] = []
-        for row, text in enumerate(column.to_pylist(), 1):
+        seconds = np.full(len(column), math.nan)
+        for k, text in enumerate(column.to_pylist()):
             try:
-                seconds.append(None if text is None else parse_iso(text))
+                seconds[k] = math.nan if text is None else parse_iso(text)
             except ValueError as error:
-                raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
-        column = pa.chunked_array([pa.array(seconds, pa.float64())])
+                raise InputError(f"{path}: row {k + 1}: column {name!r}: {error}") from None
+        return seconds
     elif is_date or not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
         wanted = "dates with time" if is_date else "numbers"
         raise InputError(f"{path}: column {name!r} contains {kind}, not {wanted}")

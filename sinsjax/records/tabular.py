@@ -46,18 +46,8 @@ def read_csv(path: str | Path, layout: RecordLayout) -> Record:
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
     be a few milliseconds late. A row that repeats the one before it, stamp included, is left out.
     A missing sample, from a gap or an empty cell, is interpolated if max_gap_s allows it; otherwise
-    it is nan and a flaw of the record, see `require_span`.
-
-    Args:
-        path: the file.
-        layout: columns, units, axes, and rate_hz unless there is a time column.
-
-    Returns:
-        The record; fields of PSINS headers are None.
-
-    Raises:
-        InputError: the layout or the file is invalid; the message names the key, the column or the
-            row (line of the file, from 1).
+    it is nan and a flaw of the record, see `require_span`. Errors name the key, or the row and the
+    column.
     """
     check_layout(layout, str(path))
     return record_from_table(path, layout, open_text(path, layout.columns, layout.skip_rows))
@@ -84,10 +74,10 @@ def record_from_table(path: str | Path, layout: RecordLayout, table: Table) -> R
         if not kept.any():
             raise InputError(f"{path}: column {layout.time_column!r}: {MISSING_TEXT}")
         repeated = find_repeated_rows(time_s, columns) & kept
-        if count := int(repeated.sum()):
+        if repeated.any():
+            count = format_count(int(repeated.sum()), "row")
             first = row_number(int(repeated.argmax()))
-            text = f"{format_count(count, 'row')} left out that repeat the one before"
-            remarks.append(f"{text}, the first in row {first}")
+            remarks.append(f"{count} left out that repeat the one before, the first in row {first}")
         samples = np.flatnonzero(kept & ~repeated)
         if len(samples) < len(time_s):
             columns, time_s = [column[samples] for column in columns], time_s[samples]
@@ -100,18 +90,16 @@ def record_from_table(path: str | Path, layout: RecordLayout, table: Table) -> R
     else:
         # check_layout ensures that there is a time column or a rate.
         assert layout.rate_hz is not None
-        sampling = Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
-        time_s = np.empty(0)
+        time_s, sampling = np.empty(0), Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
     rate_hz, number = sampling.rate_hz, sampling.number
 
     def describe_gap(columns: Sequence[FloatArray], sample: int) -> str:
         k = int(np.searchsorted(number, sample))
         if number[k] != sample:
-            place = f"{path}: column {layout.time_column!r}: row {row_number(k)}"
-            return f"{place}: a gap at {rate_hz:g} Hz, {format_step(time_s, k - 1)}"
-        pairs = zip(names, columns, strict=True)
-        name = next(name for name, column in pairs if not np.isfinite(column[sample]))
-        return f"{path}: row {row_number(k)}: column {name!r}: {MISSING_TEXT}"
+            place = f"column {layout.time_column!r}: row {row_number(k)}"
+            return f"{path}: {place}: a gap at {rate_hz:g} Hz, {format_step(time_s, k - 1)}"
+        channel = next(c for c, column in enumerate(columns) if not np.isfinite(column[sample]))
+        return f"{path}: row {row_number(k)}: column {names[channel]!r}: {MISSING_TEXT}"
 
     columns, flaws, filled = _fill_gaps(columns, sampling, layout.max_gap_s, describe_gap)
     scales = (layout.gyro_unit, layout.gyro_scale), (layout.accel_unit, layout.accel_scale)
@@ -224,15 +212,6 @@ def write_csv(
     Increments in rad and m/s are read back bit for bit. The time column, if any, is the end of each
     sample. The record's position, attitude and g are not written, and no names if the layout gives
     them.
-
-    Args:
-        record: the record.
-        path: the file to write; written atomically.
-        layout: its rate_hz, if given, must be the record's.
-        delimiter: between the columns.
-
-    Raises:
-        InputError: the layout or the record cannot be written, or the target is not writable.
     """
     columns = _record_to_columns(record, path, layout)
     header = io.StringIO()
