@@ -52,23 +52,14 @@ _BIAS_SHARE = 0.3  # of the largest bias, which may change between turns
 
 
 class StationaryValues(NamedTuple):
-    """Expected measurements of a stationary record, SI units.
-
-    Attributes:
-        earth_rate: rad/s.
-        latitude: rad.
-        gravity: m/s^2.
-        gyro_bias: largest plausible gyro bias, rad/s.
-        accel_bias: largest plausible accelerometer bias, m/s^2.
-        low_noise_gyro_bias: largest plausible gyro bias at rest if the gyros have little noise.
-    """
+    """Expected measurements of a stationary record, SI units, and the largest plausible biases."""
 
     earth_rate: float
     latitude: float
     gravity: float
     gyro_bias: float
     accel_bias: float
-    low_noise_gyro_bias: float = math.inf
+    low_noise_gyro_bias: float = math.inf  # at rest, if the gyros have little noise
 
     @classmethod
     def with_biases(
@@ -92,18 +83,11 @@ class StationaryValues(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """Something implausible.
-
-    Attributes:
-        is_certain: whether it is certainly wrong.
-        text: in words, without the file.
-        hides_north: whether no method finds a heading with these gyros, whereas pitch and roll can
-            be found.
-    """
+    """Something implausible, or certainly wrong, without the file."""
 
     is_certain: bool
     text: str
-    hides_north: bool = False
+    hides_north: bool = False  # pitch and roll can be found, but no heading
 
 
 # Samples
@@ -118,14 +102,8 @@ def find_anomalies(
 ) -> tuple[Anomaly, ...]:
     """Return samples out of range, removed Earth rate, and channels that are stuck.
 
-    They are found while a file is read, since only then its rows are known.
-
-    Args:
-        names: names of the columns, three of gyros, then three of accelerometers.
-        columns: (T,) each, in any unit, nan where missing.
-        factors: conversion of each column's unit to rad/s or m/s^2.
-        rate_hz: sample rate, Hz.
-        row_number: function of sample k that returns its row, for messages.
+    They are found while a file is read, since only then its rows are known. Columns (T,) are those
+    of three gyros, then of three accelerometers; factors convert them to rad/s or m/s^2.
     """
     count, found = len(columns[0]), list[Anomaly]()
 
@@ -179,24 +157,19 @@ def find_anomalies(
 def report_anomalies(
     anomalies: Sequence[Anomaly], spans: Sequence[tuple[int, int]]
 ) -> Iterator[Anomaly]:
-    """Yield the anomalies within some spans of samples, for messages.
+    """Yield the anomalies within some spans of samples (from, to before), for messages.
 
     Certain errors are reduced to the first one and the number of others.
-
-    Args:
-        anomalies: anomalies of a record.
-        spans: first sample of each span, and the one after its last.
     """
     relevant = [
         anomaly
         for anomaly in anomalies
         if any(anomaly.begin < end and anomaly.end > begin for begin, end in spans)
     ]
-    certain = [anomaly for anomaly in relevant if anomaly.is_certain]
-    if certain:
-        first, further = min(certain, key=lambda anomaly: anomaly.begin), len(certain) - 1
-        more = f"; {format_count(further, 'more such place')}" if further else ""
-        yield first._replace(text=first.text + more)
+    if certain := sorted(anomaly for anomaly in relevant if anomaly.is_certain):
+        count = format_count(len(certain) - 1, "more such place")
+        more = f"; {count}" if len(certain) > 1 else ""
+        yield certain[0]._replace(text=certain[0].text + more)
     yield from [anomaly for anomaly in relevant if not anomaly.is_certain][:_MAX_REPORTED]
 
 
@@ -206,13 +179,10 @@ def report_anomalies(
 def check_stationary(
     record: Record, span: tuple[int, int], layout: RecordLayout, expected: StationaryValues
 ) -> list[Finding]:
-    """Return what is implausible for a base that stays in a span of a record.
+    """Return what is implausible for a base that stays in a span (from, to before) of a record.
 
-    Args:
-        record: the record, without missing samples in the span.
-        span: first sample, and the one after the last; at least a second.
-        layout: the layout that the record was read with, to suggest a cause.
-        expected: measurements and sensor biases to expect.
+    The span is at least a second long and lacks no sample. The layout that the record was read with
+    suggests causes.
     """
     means = compute_means(record, span, expected.gravity)
     noise = white_noise(record.dtheta[span[0] : span[1]][:_NOISE_SAMPLES], record.rate_hz)

@@ -28,63 +28,33 @@ _MAX_DROPPED = 6
 
 
 class Turns(NamedTuple):
-    """Turns about the vertical, SI units.
+    """Turns about the vertical, SI units; the biases are the least ones that explain the record."""
 
-    Attributes:
-        angle: largest minus smallest turn angle psi, rad.
-        drift: rate at which the vertical turns in the frame carried by the gyros, with the sensor
-            biases taken out, rad/s: the horizontal Earth rate.
-        drift_uncertainty: 3 sigma of the drift, rad/s.
-        gyro_bias: least level gyro bias, its uncertainty taken off, rad/s.
-        accel_bias: least level accelerometer bias, relative to gravity, in the same way.
-    """
-
-    angle: float
-    drift: float
-    drift_uncertainty: float
-    gyro_bias: float
-    accel_bias: float
+    angle: float  # largest minus smallest turn angle psi
+    drift: float  # as `Means.vertical_drift`, with the sensor biases taken out
+    drift_uncertainty: float  # 3 sigma
+    gyro_bias: float  # of the level gyros
+    accel_bias: float  # of the level accelerometers, relative to gravity
 
 
 class Means(NamedTuple):
-    """Mean measurements of a span, in the body axes at its middle, SI units.
+    """Mean measurements of a span, in the body axes at its middle, SI units."""
 
-    Attributes:
-        rate: (3,) mean rate, with sways averaged out.
-        rate_uncertainty: uncertainty of the mean rate from sways and noise.
-        turn_angle: angle by which the base rotated in addition to the mean rate, rad.
-        force: (3,) mean specific force.
-        force_magnitude: mean magnitude of the specific force.
-        resolved_ratio: magnitude of the mean force resolved by the gyros, over the mean magnitude.
-        tilt_change: largest angle between the mean forces of blocks and that of all, rad.
-        vertical_drift: rate at which the vertical turns in the frame carried by the gyros, rad/s:
-            the horizontal Earth rate, however the base moves, but for the level part of their bias.
-        drift_uncertainty: uncertainty of the drift from accelerations of the base, rad/s.
-        length_s: length of the span.
-        turns: turns about the vertical; None if the base does not turn.
-    """
-
-    rate: FloatArray
-    rate_uncertainty: float
-    turn_angle: float
-    force: FloatArray
+    rate: FloatArray  # (3,), with sways averaged out
+    rate_uncertainty: float  # from sways and noise
+    turn_angle: float  # by which the base rotated in addition to the mean rate
+    force: FloatArray  # (3,)
     force_magnitude: float
-    resolved_ratio: float
-    tilt_change: float
-    vertical_drift: float
-    drift_uncertainty: float
+    resolved_ratio: float  # of the mean force resolved by the gyros to the mean magnitude
+    tilt_change: float  # largest angle between the mean forces of blocks and that of all
+    vertical_drift: float  # rate of the vertical in the frame that the gyros carry
+    drift_uncertainty: float  # 3 sigma, from accelerations of the base
     length_s: float
-    turns: Turns | None
+    turns: Turns | None  # None if the base does not turn
 
 
 def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
-    """Return the mean measurements of a span of a record.
-
-    Args:
-        record: the record, without missing samples in the span.
-        span: first sample, and the one after the last.
-        gravity: expected magnitude of the mean specific force, m/s^2.
-    """
+    """Return the means of a span of a record that lacks no sample in it, at some gravity, m/s^2."""
     count = -(-(span[1] - span[0]) // _MAX_STEPS)
     dtheta, dv = (
         rows[slice(*span)][: (span[1] - span[0]) // count * count].reshape(-1, count, 3).sum(axis=1)
@@ -109,8 +79,8 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
     second = max(1, round(1 / dt))
     blocks = dv[: n // second * second].reshape(-1, second, 3).mean(axis=1) / dt
     magnitudes = _norm(_weighted_mean(force)), float(np.linalg.norm(blocks, axis=1).mean())
-    ups = _directions(dv)
-    drift, drift_uncertainty = _drift(_directions(force), n * dt)
+    ups = _directions(dv, _BLOCKS)
+    drift, drift_uncertainty = _drift(_directions(force, _BLOCKS), n * dt)
     return Means(
         rate=rate,
         rate_uncertainty=uncertainty,
@@ -167,9 +137,9 @@ def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
     return np.diff(vector, axis=0)
 
 
-def _directions(force: FloatArray) -> FloatArray:
+def _directions(force: FloatArray, count: int) -> FloatArray:
     """Return the directions of the mean forces of blocks of rows (n, 3)."""
-    ups = np.array([part.sum(axis=0) for part in np.array_split(force, _BLOCKS) if len(part)])
+    ups = np.array([part.sum(axis=0) for part in np.array_split(force, count) if len(part)])
     return np.asarray(ups / np.maximum(np.linalg.norm(ups, axis=1, keepdims=True), 1e-300))
 
 
@@ -191,12 +161,7 @@ def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None
 
     The level part y of the unit mean force of windows is y = c + s t + a e^(i psi) + b P, where s
     is the drift, P the integral of e^(i psi), and a and b contain the level biases of
-    accelerometers and gyros.
-
-    Args:
-        dtheta: (n, 3) gyro increments.
-        dv: (n, 3) specific-force increments.
-        dt: length of a step, s.
+    accelerometers and gyros. Increments (n, 3) are over steps of ``dt``, s.
     """
     if len(dv) < 2 * _WINDOWS:
         return None
@@ -258,8 +223,7 @@ def _window_means(values: NDArray[Any]) -> NDArray[Any]:
 
 def _level_part(force: FloatArray) -> NDArray[np.complex128]:
     """Return the level part of the unit mean force of each window, as a complex number."""
-    unit = _window_means(force)
-    unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
+    unit = _directions(force, _WINDOWS)
     up = unit.sum(axis=0)
     up = up / (_norm(up) or 1.0)
     front = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
@@ -273,8 +237,7 @@ def _level_part(force: FloatArray) -> NDArray[np.complex128]:
 def integrate_attitudes(dtheta: FloatArray) -> FloatArray:
     """Return quaternions (n + 1, 4) from the body axes at each time to those at the start.
 
-    Args:
-        dtheta: (n, 3) rotation increments, rad; two-sample coning is compensated.
+    Two-sample coning of the increments (n, 3), rad, is compensated.
     """
     n = len(dtheta)
     previous = np.concatenate([dtheta[:1], dtheta[:-1]])

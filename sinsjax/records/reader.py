@@ -35,7 +35,7 @@ MIN_COLUMNS = 6
 """Columns of an inertial record."""
 
 _MAX_MAGNITUDE = 1e30  # of numbers; squares and sums of such stay finite
-_MAX_COLUMNS, _HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 1000, 20, 200, 2**15
+_MAX_COLUMNS, _HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 1000, 20, 200, 2**13
 _COMMENTS = ("#", "%", "//")
 _BLANK_CELLS = ["", "nan", "NaN", "NAN"]
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)

@@ -38,19 +38,12 @@ _TIME_NAME = re.compile(
 
 
 class Sampling(NamedTuple):
-    """Sampling times of a file.
-
-    Attributes:
-        rate_hz: sample rate, Hz.
-        t0_s: start of the first sample, s.
-        number: (T,) number of each sample, from 0; it jumps where samples are missing.
-        remark: how many stamps are late; "" if none.
-    """
+    """Sampling times of a file."""
 
     rate_hz: float
-    t0_s: float
-    number: NDArray[np.int64]
-    remark: str = ""
+    t0_s: float  # start of the first sample
+    number: NDArray[np.int64]  # (T,) of each sample, from 0; it jumps where samples are missing
+    remark: str = ""  # how many stamps are late
 
 
 def parse_iso(text: str) -> float:
@@ -88,16 +81,10 @@ def combine_times(times: Sequence[FloatArray], layout: RecordLayout) -> FloatArr
 def find_sampling(
     source: str, layout: RecordLayout, time_s: FloatArray, row_number: Callable[[int], int]
 ) -> Sampling:
-    """Return the sample rate and sample numbers from the stamps at the ends of the samples.
+    """Return the sampling from the stamps at the ends of the samples, (T,), finite, T > 0.
 
-    Args:
-        source: the file, for messages.
-        layout: its time_column is named in messages; its rate_hz takes precedence if given.
-        time_s: (T,) finite stamps, T > 0.
-        row_number: function of sample k that returns its row, for messages.
-
-    Raises:
-        InputError: the stamps do not increase, or imply another rate; the message names the row.
+    The rate of the layout takes precedence if given. Stamps that do not increase or imply another
+    rate are refused, with their row.
     """
     place = f"{source}: column {layout.time_column!r}"
     if len(time_s) == 1:
@@ -191,17 +178,11 @@ def format_step(time_s: FloatArray, k: int) -> str:
 
 
 class Clock(NamedTuple):
-    """A proposed clock of a file.
+    """A proposed clock of a file."""
 
-    Attributes:
-        fields: keys of the layout: the time columns and their units; none if they cannot be read.
-        rate_hz: sample rate, Hz; a placeholder if it is an open question.
-        notes: reasons and questions by key of the layout.
-    """
-
-    fields: dict[str, Any]
-    rate_hz: float
-    notes: dict[str, Note]
+    fields: dict[str, Any]  # of the layout: columns and units; none if they cannot be read
+    rate_hz: float  # a placeholder if it is an open question
+    notes: dict[str, Note]  # reasons and questions by key of the layout
 
     @property
     def is_open(self) -> bool:
@@ -212,7 +193,7 @@ class Clock(NamedTuple):
 def propose_clock(
     path: str, table: Any, answers: Mapping[str, Any], taken: Collection[str] = ()
 ) -> Clock:
-    """Propose the clock of a file from the names of its columns, and the steps of their stamps.
+    """Propose the clock of a table from the names of its columns, and the steps of their stamps.
 
     Args:
         path: the file, for messages.
