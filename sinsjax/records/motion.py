@@ -116,6 +116,11 @@ def _slope(values: FloatArray, spacing_s: float) -> tuple[FloatArray, float]:
     return slope, 3 * math.sqrt(variance / sum_of_squares)
 
 
+def vertical_rate(means: Means) -> float:
+    """Return the mean rate about the vertical, rad/s."""
+    return means.vertical_rate
+
+
 def white_noise(increments: FloatArray, rate_hz: float) -> float:
     """Return the white noise of increments (n, 3): their standard deviation after 1 s.
 
