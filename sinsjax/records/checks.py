@@ -47,6 +47,7 @@ _MAX_PARKED_TURN = 1.0 * DEG
 _SHORT_S = 20.0  # contains few sways
 _MIN_RESOLVED = 0.99  # of gravity, when the gyros follow the sways
 _MAX_TILT = 45 * DEG
+_MIRRORED = 0.3  # relative difference from the opposite of the vertical Earth rate
 _MIN_TURN = 20 * DEG  # beyond the turn of the Earth and of a bias
 _BIAS_SHARE = 0.3  # of the largest bias, which may change between turns
 
@@ -272,7 +273,7 @@ def _describe_hidden_north(
     """Return why the gyros show no Earth rate; "" if they may."""
     earth, horizontal = expected.earth_rate, expected.horizontal_rate
     magnitude, unit = max(means.magnitude, 1e-300), ""
-    bias = abs(magnitude - earth)
+    bias, vertical = abs(magnitude - earth), earth * math.sin(expected.latitude)
     if abs(means.vertical_rate / magnitude - math.sin(expected.latitude)) < 0.2:
         ratio = earth / magnitude
         unit = _suggest_unit(GYRO_UNITS, layout.gyro_unit, layout, rate_hz, ratio, 0.5)
@@ -286,6 +287,10 @@ def _describe_hidden_north(
         cause = "has Earth rate been removed, or are the gyros' unit, axes or signs wrong?"
     elif means.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
         cause = "the gyros do not follow the vertical: are their unit, axes and signs right?"
+    elif abs(means.vertical_rate + vertical) + means.vertical_uncertainty < _MIRRORED * abs(
+        vertical
+    ):
+        cause = "its vertical part has the wrong sign: are the gyros' axes and the latitude right?"
     else:
         return ""
     text = f"the mean rate is {magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times"
