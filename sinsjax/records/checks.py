@@ -23,7 +23,7 @@ from sinsjax.records.layout import (
     increment_factor,
     message_key,
 )
-from sinsjax.records.motion import EARTH_RATE, Means, compute_means, vertical_rate, white_noise
+from sinsjax.records.motion import EARTH_RATE, Means, compute_means, white_noise
 from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
 
 GYRO_BIAS = 10.0 * DEG_PER_H
@@ -47,6 +47,7 @@ _MAX_PARKED_TURN = 1.0 * DEG
 _SHORT_S = 20.0  # contains few sways
 _MIN_RESOLVED = 0.99  # of gravity, when the gyros follow the sways
 _MAX_TILT = 45 * DEG
+_MIRRORED = 0.3  # relative difference from the opposite of the vertical Earth rate
 _MIN_TURN = 20 * DEG  # beyond the turn of the Earth and of a bias
 _BIAS_SHARE = 0.3  # of the largest bias, which may change between turns
 
@@ -271,21 +272,25 @@ def _describe_hidden_north(
 ) -> str:
     """Return why the gyros show no Earth rate; "" if they may."""
     earth, horizontal = expected.earth_rate, expected.horizontal_rate
-    magnitude = float(np.linalg.norm(means.rate))
-    unit, bias = "", abs(magnitude - earth)
-    if abs(vertical_rate(means) / (magnitude or 1.0) - math.sin(expected.latitude)) < 0.2:
-        ratio = earth / (magnitude or 1.0)
+    magnitude, unit = max(means.magnitude, 1e-300), ""
+    bias, vertical = abs(magnitude - earth), earth * math.sin(expected.latitude)
+    if abs(means.vertical_rate / magnitude - math.sin(expected.latitude)) < 0.2:
+        ratio = earth / magnitude
         unit = _suggest_unit(GYRO_UNITS, layout.gyro_unit, layout, rate_hz, ratio, 0.5)
     turned_square = ((earth + expected.gyro_bias) * means.length_s) ** 2
     if abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal:
         cause = f"a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more hides Earth rate"
     elif (
         means.vertical_drift + means.drift_uncertainty < horizontal / 2
-        or magnitude + means.rate_uncertainty < earth / _CERTAIN_FACTOR
+        or magnitude + means.vertical_uncertainty < earth / _CERTAIN_FACTOR
     ):
         cause = "has Earth rate been removed, or are the gyros' unit, axes or signs wrong?"
     elif means.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
         cause = "the gyros do not follow the vertical: are their unit, axes and signs right?"
+    elif abs(means.vertical_rate + vertical) + means.vertical_uncertainty < _MIRRORED * abs(
+        vertical
+    ):
+        cause = "its vertical part has the wrong sign: are the gyros' axes and the latitude right?"
     else:
         return ""
     text = f"the mean rate is {magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times"
@@ -294,7 +299,7 @@ def _describe_hidden_north(
 
 def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Iterator[Finding]:
     """Compare the mean rate of gyros that may find north, and its vertical part, with Earth's."""
-    earth, uncertainty = expected.earth_rate, means.rate_uncertainty
+    earth, uncertainty = expected.earth_rate, means.vertical_uncertainty + means.drift_uncertainty
     plausible = earth + expected.gyro_bias
     if (
         means.vertical_drift + means.drift_uncertainty > plausible
@@ -316,7 +321,7 @@ def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Itera
         return
     if means.length_s < _SHORT_S:
         return
-    magnitude, up = float(np.linalg.norm(means.rate)), vertical_rate(means)
+    magnitude, up = means.magnitude, means.vertical_rate
     is_quiet = noise < _LOW_NOISE and uncertainty < 0.1 * earth
     largest = min(expected.gyro_bias, expected.low_noise_gyro_bias if is_quiet else math.inf)
     bias, up_bias = abs(magnitude - earth), abs(up - earth * math.sin(expected.latitude))
@@ -339,7 +344,7 @@ def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Itera
         )
         yield Finding(False, text)
     elif is_quiet:
-        measured = math.asin(max(-1.0, min(1.0, up / magnitude)))
+        measured = math.atan2(up, means.vertical_drift)
         # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
         sigma = math.hypot(uncertainty / 3, bias, _BIAS_PER_ARW * noise / 60) / earth
         if abs(measured - expected.latitude) > 5 * sigma:

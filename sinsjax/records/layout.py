@@ -28,6 +28,13 @@ ACCEL_UNITS = {
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
+_FACTORS = {
+    **GYRO_UNITS[INCREMENTS],
+    **GYRO_UNITS[RATES],
+    **ACCEL_UNITS[INCREMENTS],
+    **ACCEL_UNITS[RATES],
+}
+
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 """Factors to s, by unit name; ISO dates are read as seconds since 1970."""
 
@@ -245,18 +252,12 @@ def _iter_name_faults(layout: RecordLayout) -> Iterator[Fault]:
 
 def quantity_of(unit: str) -> str:
     """Return the quantity of a unit of gyros or accelerometers: increments or rates."""
-    units = {**GYRO_UNITS[INCREMENTS], **ACCEL_UNITS[INCREMENTS]}
-    return INCREMENTS if unit in units else RATES
+    return RATES if unit in {**GYRO_UNITS[RATES], **ACCEL_UNITS[RATES]} else INCREMENTS
 
 
 def unit_factor(unit: str) -> float:
     """Return the factor of a unit of gyros or accelerometers to SI."""
-    return next(
-        units[unit]
-        for known in (GYRO_UNITS, ACCEL_UNITS)
-        for units in known.values()
-        if unit in units
-    )
+    return _FACTORS[unit]
 
 
 def increment_factor(unit: str, rate_hz: float) -> float:

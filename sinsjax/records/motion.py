@@ -1,4 +1,4 @@
-"""Mean rate and specific force of a span of a record, with sways averaged out, and its turns.
+"""Rates and specific force of a span of a record, with sways averaged out, and its turns.
 
 In the frame carried by the gyros the vertical drifts by the horizontal Earth rate, however the base
 moves. What the level sensor biases add turns with the base, so that turns about the vertical
@@ -38,19 +38,25 @@ class Turns(NamedTuple):
 
 
 class Means(NamedTuple):
-    """Mean measurements of a span, in the body axes at its middle, SI units."""
+    """Mean measurements of a span, SI units; uncertainties are 3 sigma."""
 
-    rate: FloatArray  # (3,), with sways averaged out
-    rate_uncertainty: float  # from sways and noise
-    turn_angle: float  # by which the base rotated in addition to the mean rate
-    force: FloatArray  # (3,)
+    rate: FloatArray  # (3,) in the body axes, of a parked base
+    force: FloatArray  # (3,) in the body axes
     force_magnitude: float
     resolved_ratio: float  # of the mean force resolved by the gyros to the mean magnitude
     tilt_change: float  # largest angle between the mean forces of blocks and that of all
-    vertical_drift: float  # rate of the vertical in the frame that the gyros carry
-    drift_uncertainty: float  # 3 sigma, from accelerations of the base
+    turn_angle: float  # about the vertical, in addition to a steady rate
+    vertical_rate: float  # about the vertical
+    vertical_uncertainty: float
+    vertical_drift: float  # rate of the vertical itself in the frame that the gyros carry
+    drift_uncertainty: float
     length_s: float
     turns: Turns | None  # None if the base does not turn
+
+    @property
+    def magnitude(self) -> float:
+        """Magnitude of the mean rate."""
+        return math.hypot(self.vertical_rate, self.vertical_drift)
 
 
 def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
@@ -63,43 +69,56 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
     n, dt = len(dtheta), count / record.rate_hz
     q = integrate_attitudes(dtheta)
     q = _multiply(q[n // 2] * [1, -1, -1, -1], q)  # to the body axes at the middle
-    rotations = _rotation_steps(q, dtheta)
     force = _rotate(q[:-1], dv) / dt
-    rate = _weighted_mean(rotations) / dt
-    parts = ((0.0, 0.9), (0.1, 1.0), (0.05, 0.95))
-    uncertainty = 3 * max(_norm(_weighted_mean(rotations, *part) / dt - rate) for part in parts)
-    # Windows of a quarter of the span: one with a turn differs from the median of all.
-    windows = np.array([_weighted_mean(rotations, k / 16, (k + 4) / 16) for k in range(13)]) / dt
-    deviation = np.linalg.norm(windows - np.median(windows, axis=0), axis=1)
-    typical = float(np.median(deviation))
-    uncertainty += typical / 16  # with few sways, all long means share the same error
-    turn_angle = (float(deviation.max()) - 5 * typical) * n * dt / 4 / 2.3  # peak weight over mean
-    if turn_angle > 1 * DEG:
-        rate, uncertainty = np.median(windows, axis=0), 3 * typical
-    second = max(1, round(1 / dt))
-    blocks = dv[: n // second * second].reshape(-1, second, 3).mean(axis=1) / dt
-    magnitudes = _norm(_weighted_mean(force)), float(np.linalg.norm(blocks, axis=1).mean())
-    ups = _directions(dv, _BLOCKS)
-    drift, drift_uncertainty = _drift(_directions(force, _BLOCKS), n * dt)
+    mean_force, tilts, ups = force.mean(axis=0), _block_means(dv), _block_means(force)
+    tilts, ups = (v / np.maximum(np.linalg.norm(v, axis=1), 1e-300)[:, None] for v in (tilts, ups))
+    up = ups.sum(axis=0) / (_norm(ups.sum(axis=0)) or 1.0)
+    psi = _block_means(np.unwrap(2 * np.arctan2(q[1:, 1:] @ up, q[1:, 0]), period=4 * np.pi))
+    steps = np.diff(psi) - np.median(np.diff(psi))
+    sway = 10 * float(np.median(np.abs(steps)))
+    spacing_s = n * dt / (_BLOCKS + 1)
+    vertical_rate, vertical_uncertainty = _slope(psi[:, None], spacing_s)
+    drift, drift_uncertainty = _slope(ups, spacing_s)
+    seconds = np.array_split(dv / dt, max(1, int(n * dt)))
+    magnitudes = _norm(mean_force), float(np.mean([_norm(part.mean(axis=0)) for part in seconds]))
     return Means(
-        rate=rate,
-        rate_uncertainty=uncertainty,
-        turn_angle=turn_angle,
+        rate=dtheta.mean(axis=0) / dt,
         force=dv.mean(axis=0) / dt,
-        # Fast sways shorten the block means, wrong gyros the resolved mean: use the better one.
+        # Fast sways shorten the means of seconds, wrong gyros the resolved one: the better counts.
         force_magnitude=min(magnitudes, key=lambda size: abs(size - gravity)),
         resolved_ratio=magnitudes[0] / magnitudes[1],
-        tilt_change=float(np.linalg.norm(ups - ups.mean(axis=0), axis=1).max()),
-        vertical_drift=drift,
+        tilt_change=float(np.linalg.norm(tilts - tilts.mean(axis=0), axis=1).max()),
+        turn_angle=max(0.0, float(np.ptp(np.cumsum([0.0, *steps]))) - sway),
+        vertical_rate=float(vertical_rate[0]),
+        vertical_uncertainty=vertical_uncertainty,
+        vertical_drift=_norm(drift),
         drift_uncertainty=drift_uncertainty,
         length_s=n * dt,
         turns=measure_turns(dtheta, dv, dt),
     )
 
 
+def _block_means(values: FloatArray) -> FloatArray:
+    """Return the means of overlapping blocks of rows, with weights that cancel sways."""
+    half = max(1, len(values) // (_BLOCKS + 1))
+    weight = np.hanning(2 * half + 2)[1:-1]
+    blocks = [values[k * half :][: 2 * half] for k in range(_BLOCKS)]
+    return np.array([weight[: len(block)] @ block for block in blocks]) / weight.sum()
+
+
+def _slope(values: FloatArray, spacing_s: float) -> tuple[FloatArray, float]:
+    """Return the slope of values (n, k) in steps of some time, and 3 sigma of its components."""
+    time_s = (np.arange(len(values)) - (len(values) - 1) / 2) * spacing_s
+    sum_of_squares = float(time_s @ time_s)
+    slope = time_s @ values / sum_of_squares
+    scatter = values - values.mean(axis=0) - np.outer(time_s, slope)
+    variance = float((scatter**2).sum()) / (len(values) - 2)
+    return slope, 3 * math.sqrt(variance / sum_of_squares)
+
+
 def vertical_rate(means: Means) -> float:
     """Return the mean rate about the vertical, rad/s."""
-    return float(means.rate @ means.force) / _norm(means.force)
+    return means.vertical_rate
 
 
 def white_noise(increments: FloatArray, rate_hz: float) -> float:
@@ -113,44 +132,6 @@ def white_noise(increments: FloatArray, rate_hz: float) -> float:
 
 def _norm(vector: FloatArray) -> float:
     return float(np.linalg.norm(vector))
-
-
-def _weighted_mean(rows: FloatArray, begin: float = 0.0, end: float = 1.0) -> FloatArray:
-    """Return the mean of a part of the rows (n, 3), with weights that cancel sways."""
-    first, last = int(begin * len(rows)), max(int(begin * len(rows)) + 1, round(end * len(rows)))
-    weight = np.sin(np.pi * (np.arange(last - first) + 0.5) / (last - first)) ** 4
-    return np.asarray(weight @ rows[first:last] / weight.sum())
-
-
-def _rotation_steps(q: FloatArray, dtheta: FloatArray) -> FloatArray:
-    """Return the rotation over each sample in the target axes of q (n + 1, 4); (n, 3), rad.
-
-    Steps of the rotation vector, over which a sway sums to zero for any order of its axes; the
-    transformed gyro increments if the base turns too far for a rotation vector.
-    """
-    q = q * np.sign(q[:, :1] + (q[:, :1] == 0))
-    sine = np.linalg.norm(q[:, 1:], axis=1)
-    angle = 2 * np.arctan2(sine, q[:, 0])
-    if angle.max() > 150 * DEG:
-        return _rotate(q[:-1], dtheta)
-    vector = q[:, 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None]
-    return np.diff(vector, axis=0)
-
-
-def _directions(force: FloatArray, count: int) -> FloatArray:
-    """Return the directions of the mean forces of blocks of rows (n, 3)."""
-    ups = np.array([part.sum(axis=0) for part in np.array_split(force, count) if len(part)])
-    return np.asarray(ups / np.maximum(np.linalg.norm(ups, axis=1, keepdims=True), 1e-300))
-
-
-def _drift(ups: FloatArray, length_s: float) -> tuple[float, float]:
-    """Return the drift of directions over a span, rad/s, and its 3 sigma."""
-    time_s = (np.arange(len(ups)) - (len(ups) - 1) / 2) * length_s / len(ups)
-    sum_of_squares = float(time_s @ time_s)
-    slope = time_s @ ups / sum_of_squares
-    scatter = ups - ups.mean(axis=0) - np.outer(time_s, slope)
-    sigma = math.sqrt(float((scatter**2).sum()) / max(1, len(ups) - 2) / sum_of_squares)
-    return _norm(slope), 3 * sigma
 
 
 # Turns
@@ -223,7 +204,8 @@ def _window_means(values: NDArray[Any]) -> NDArray[Any]:
 
 def _level_part(force: FloatArray) -> NDArray[np.complex128]:
     """Return the level part of the unit mean force of each window, as a complex number."""
-    unit = _directions(force, _WINDOWS)
+    unit = _window_means(force)
+    unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
     up = unit.sum(axis=0)
     up = up / (_norm(up) or 1.0)
     front = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])

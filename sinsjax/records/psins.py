@@ -53,19 +53,8 @@ def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
     The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
-    the header is unknown.
-
-    Args:
-        path: the file.
-        layout: only its axes_order, mounting_deg and rate_hz are used; rate_hz must agree with the
-            header's interval.
-
-    Returns:
-        The record with the header's position, attitude and g.
-
-    Raises:
-        InputError: the file cannot be read, is cut off, or has a bad header or sample; the message
-            names the row.
+    the header is unknown. Of the layout, axes_order, mounting_deg and rate_hz are used; the rate
+    must agree with the header's interval.
     """
     check_layout(layout, str(path))
     lines = _header_lines(path)
@@ -112,12 +101,9 @@ def _parse_header(path: str | Path, lines: list[Line]) -> _Header:
     for row, text in lines:
         words = text.split()
         if len(words) != 6:
-            hint = (
-                " (not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
-            )
-            raise InputError(
-                f"{path}: row {row}: a header line must have 6 values, not {len(words)}{hint}"
-            )
+            hint = "(not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
+            problem = f"a header line must have 6 values, not {len(words)} {hint}"
+            raise InputError(f"{path}: row {row}: {problem}")
         try:
             values.append([math.nan if w.lower() == "nan" else parse_number(w) for w in words])
         except ValueError as error:
@@ -125,13 +111,10 @@ def _parse_header(path: str | Path, lines: list[Line]) -> _Header:
     if len(values) < 3:
         raise InputError(f"{path}: the header must have 3 lines, not {len(values)}")
     header = _Header(*values)
-    fault = _find_header_fault(header)
-    if fault is not None:
+    if fault := _find_header_fault(header):
         line, text = fault
-        raise InputError(
-            f"{path}: row {lines[line].row}: header line {line + 1}: {text} (a 3-line header must "
-            "precede the samples)"
-        )
+        place, hint = f"row {lines[line].row}: header line {line + 1}", "must precede the samples"
+        raise InputError(f"{path}: {place}: {text} (a 3-line header {hint})")
     return header
 
 
@@ -162,21 +145,13 @@ def write_psins(
     """Write a PSINS SIMU log.
 
     The running sums are rounded to counts, not the increments, so the error of a sum of any length
-    is at most half a count. Values unknown to the record become nan in the header;
+    is at most half a count; the scales are those of one count. The record's g, or else standard
+    gravity, scales the specific force. Values unknown to the record become nan in the header;
     velocity and longitude, which a record lacks, become 0.
-
-    Args:
-        record: the record; its g, or else standard gravity, scales the specific force.
-        path: the file to write; written atomically.
-        gyro_scale_arcsec: one gyro count, arcsec.
-        accel_scale_ug_s: one accelerometer count, ug*s.
-
-    Raises:
-        InputError: a scale factor or the record cannot be written, or the target is not writable.
     """
     gravity = STANDARD_GRAVITY if record.gravity_m_per_s2 is None else record.gravity_m_per_s2
-    place = (math.nan if v is None else v for v in (record.latitude_deg, record.height_m))
-    latitude, height = place
+    latitude = math.nan if record.latitude_deg is None else record.latitude_deg
+    height = math.nan if record.height_m is None else record.height_m
     header = _Header(
         pose=[*(record.attitude_deg or [math.nan] * 3), 0.0, 0.0, 0.0],
         place=[latitude, 0.0, height, record.t0_s, 1e3 / record.rate_hz, gravity],

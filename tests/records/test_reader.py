@@ -15,6 +15,7 @@ from sinsjax.records import RecordLayout, read_record
 from sinsjax.records.psins import is_psins
 from sinsjax.records.reader import open_log
 from sinsjax.records.stamps import Clock, propose_clock
+from sinsjax.study.changes import parse_changes
 
 NAMES = "time_s,gx,gy,gz,ax,ay,az"
 ROWS = [f"{k / 100:g},{k},0.5,-3e-5,0,0,9.8" for k in range(1, 201)]
@@ -149,6 +150,11 @@ def test_names_that_agree_with_axes_and_signs_are_accepted(tmp_path):
     layout = LAYOUT._replace(gyro_columns=names, gyro_scale=(1.0, 1.0, -1.0), axes_order="frd")
     record = read_record(tmp_path / "log.csv", layout)
     np.testing.assert_allclose(record.dtheta[0] * 100, [0.5, 1, -3e-5])
+
+
+@pytest.mark.parametrize("order", ["-y-xz", "y-xz", "zxy", "frd"])
+def test_axes_order_needs_no_quotes_in_a_shell(order):
+    assert parse_changes([f"record.axes_order={order}"]) == {"record.axes_order": order}
 
 
 # Clocks
