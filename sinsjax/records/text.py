@@ -20,7 +20,6 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.records.column_names import parse_unit
 from sinsjax.records.files import (
     CUT_OFF_HINT,
     MAX_MAGNITUDE,
@@ -33,7 +32,8 @@ from sinsjax.records.files import (
     read_line_batches,
 )
 from sinsjax.records.layout import FloatArray
-from sinsjax.records.stamps import is_date, parse_iso
+from sinsjax.records.names import parse_unit
+from sinsjax.records.stamps import parse_iso
 from sinsjax.records.tables import (
     HEAD_ROWS,
     MAX_LABELS,
@@ -45,6 +45,16 @@ from sinsjax.records.tables import (
     join_batches,
     number_texts,
 )
+
+
+def is_date(cell: str) -> bool:
+    """Return whether a cell is a date with time or a time of day, and not a number."""
+    try:
+        parse_iso(cell)
+    except ValueError:
+        return False
+    return not is_number(cell)
+
 
 _COMMENTS = (b"#", b"%", b"//")
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "blank"}
