@@ -244,7 +244,7 @@ def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> F
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
-    if alternates and study.requires_sequential:
+    if alternates and study.sequential_keys:
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _MEASUREMENT_BYTES * read_samples * draws
