@@ -20,7 +20,6 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.records.column_names import parse_unit
 from sinsjax.records.files import (
     CUT_OFF_HINT,
     MAX_MAGNITUDE,
@@ -33,6 +32,7 @@ from sinsjax.records.files import (
     read_line_batches,
 )
 from sinsjax.records.layout import FloatArray
+from sinsjax.records.names import parse_unit
 from sinsjax.records.stamps import parse_iso
 from sinsjax.records.tables import (
     HEAD_ROWS,
