@@ -263,7 +263,7 @@ def _names_in_comment(lines: list[bytes], count: int) -> list[str]:
 
 def _is_unit(cell: str) -> bool:
     text = cell.strip("[]() ")
-    return any(parse_unit(text, sensor) is not None for sensor in ("gyro", "accel", "time"))
+    return any(parse_unit(text, sensor) is not None for sensor in ("gyro", "accel"))
 
 
 def _find_delimiter(line: bytes) -> str:
