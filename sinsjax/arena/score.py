@@ -37,7 +37,7 @@ from sinsjax.execution.schemas import summary_columns, variant_columns
 from sinsjax.execution.source import Source
 from sinsjax.execution.store import DirectoryStore
 from sinsjax.execution.tables import TableBuilder, make_table, replace_column
-from sinsjax.execution.tasks import EncodedResult, Job, Task, TaskRunner
+from sinsjax.execution.tasks import Job, Task, TaskResult, TaskRunner
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
@@ -521,7 +521,7 @@ def _write(
     try:
         store.missing_tasks([task])
         content = runner.to_parquet("summary", table, task)
-        store.add_result(EncodedResult(task, {"summary": content}, failed, 0.0))
+        store.add_result(TaskResult(task, {"summary": content}, failed, 0.0))
         whole = draws == range(study.n_draws)
         store.finish("complete" if whole else "interrupted", **{_DIGEST: digest})
     finally:

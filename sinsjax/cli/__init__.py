@@ -197,8 +197,9 @@ def tune(
 
     Example: sinsjax tune tune_condition5 -o out
     """
-    from sinsjax.cli.progress import show_progress, stop_on_signal
+    from sinsjax.cli.progress import stop_on_signal
     from sinsjax.execution.prepare import RunOptions
+    from sinsjax.execution.progress import show_progress
     from sinsjax.study.changes import parse_changes
     from sinsjax.tuning import run_tuning
 

@@ -48,9 +48,9 @@ def export(
     Example: sinsjax export paper1_resets -o draws --format psins
     """
     from sinsjax.arena.export import ExportOptions, plan_export, write_export
-    from sinsjax.cli.progress import show_progress, stop_on_signal
+    from sinsjax.cli.progress import stop_on_signal
     from sinsjax.execution.directory import results_path
-    from sinsjax.execution.run import RunProgress
+    from sinsjax.execution.progress import RunProgress, show_progress
     from sinsjax.platform import runtime
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
@@ -115,7 +115,7 @@ def score(
     Example: sinsjax score draws alignvn.csv --against out
     """
     from sinsjax.arena.score import score_results
-    from sinsjax.cli.progress import show_progress
+    from sinsjax.execution.progress import show_progress
     from sinsjax.platform import runtime
     from sinsjax.report.terminal import print_table
 

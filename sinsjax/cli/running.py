@@ -46,9 +46,10 @@ def run_study(
     Raises:
         InputError: the study cannot be run with these options.
     """
-    from sinsjax.cli.progress import show_progress, stop_on_signal
+    from sinsjax.cli.progress import stop_on_signal
     from sinsjax.execution import forecast
     from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.execution.progress import show_progress
     from sinsjax.execution.run import MAX_CURVE_RUNS, run_job
     from sinsjax.study.changes import parse_changes
 

@@ -9,13 +9,11 @@ import logging
 import os
 import pickle
 import queue
-import socket
 import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import CancelledError
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import islice
@@ -23,7 +21,7 @@ from typing import Any
 
 from sinsjax.console import print_warning
 from sinsjax.errors import InputError
-from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
+from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.messages import first_error_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime, xla
@@ -64,17 +62,10 @@ def executor(*, scheduler: str) -> Iterator[Executor]:
         raise InputError(text) from None
     with ExitStack() as stack:
         stack.enter_context(_silence_log())
-        client = stack.enter_context(_connect(scheduler))
-        pool = _Workers(client, scheduler)
-        stack.callback(pool.delete_job)
-        threads = pool.wait_for_workers()
-        facts = {
-            "workers": len(threads),
-            "threads": sum(threads.values()),
-            "scheduler": scheduler,
-            "instructions": pool.instructions,  # of the machines that compute the rows
-        }
-        yield Executor(pool.run_tasks, facts)
+        workers = _Workers(stack.enter_context(_connect(scheduler)), scheduler)
+        stack.callback(workers.delete_job)
+        facts = workers.check()
+        yield Executor(workers.run_tasks, facts)
 
 
 @contextmanager
@@ -94,139 +85,123 @@ def _silence_log() -> Iterator[None]:
 def _connect(address: str) -> Any:
     """Return a client of an existing scheduler."""
     from distributed import Client
-    from distributed.comm import addressing
     from distributed.versions import VersionMismatchWarning
 
     answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def connect() -> None:
         try:
-            scheme, location = addressing.parse_address(address)
-            if scheme in ("tcp", "tls"):  # fails at once, and names the cause as Dask does not
-                socket.create_connection(
-                    addressing.parse_host_port(location), CONNECT_TIMEOUT_S
-                ).close()
             answers.put(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
-        except OSError as error:
-            answers.put(error.strerror or first_error_line(error))
-        except ValueError as error:
-            answers.put(first_error_line(error))
-        except Exception:  # which one depends on the service
-            answers.put("another service does")
+        except Exception as error:  # which one depends on what is wrong
+            answers.put(error)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", VersionMismatchWarning)  # we compare those that matter
         # In a thread, since a client waits forever for a service that is silent or speaks HTTP.
         threading.Thread(target=connect, daemon=True).start()
         try:
-            answer = answers.get(timeout=CONNECT_TIMEOUT_S)
+            answer = answers.get(timeout=CONNECT_TIMEOUT_S + 1.0)
         except queue.Empty:
-            answer = f"no answer in {CONNECT_TIMEOUT_S:g} s"
-    if isinstance(answer, str):
-        raise InputError(f"{address}: no Dask scheduler answers there ({answer})")
+            answer = TimeoutError("another service does, such as Dask's dashboard")
+    if isinstance(answer, Exception):
+        reason = first_error_line(answer)
+        raise InputError(f"{address}: no Dask scheduler answers there ({reason})")
     return answer
 
 
 class _Workers:
-    """Client of a scheduler's workers, in the main process.
+    """Workers of a scheduler, seen from the main process."""
 
-    Attributes:
-        instructions: the instruction set of all workers; empty before `wait`.
-    """
-
-    def __init__(self, client: Any, name: str) -> None:
-        self.instructions = ""
-        self._client, self._name = client, name
+    def __init__(self, client: Any, address: str) -> None:
+        self._client, self._address = client, address
         self._threads: dict[str, int] = {}  # per worker, when last counted
-        self._last_worker_s = time.monotonic()  # last time with a worker
-        self._warned = False
+        self._last_worker_s, self._warned = time.monotonic(), False
+        self._required: dict[str, str] = {}
         self._job: Any = None  # Dask variable with the job of this runner
         self._runner: TaskRunner | None = None
 
-    def wait_for_workers(self) -> dict[str, int]:
-        """Wait for workers, check them, and return the number of threads per worker."""
-        while not self.instructions:
-            if not self.count_threads():
-                time.sleep(_POLL_S / 10)
-                continue
-            # Through Dask first: workers may have another sinsjax, or none.
-            versions = self._call_dask(
-                self._client.get_versions, packages=list(runtime.RESULT_PACKAGES)
-            )
-            required = {
-                name: versions["client"]["packages"][name] for name in runtime.RESULT_PACKAGES
-            }
-            for worker, installed in versions["workers"].items():
-                _check_same_versions(worker, installed["packages"], required)
-            instruction_sets = self._call_dask(
-                self._client.run, xla.instruction_set, on_error="ignore"
-            )
-            for worker, instructions in sorted(instruction_sets.items()):
-                self.instructions = self.instructions or instructions
-                installed = {_INSTRUCTIONS: instructions}
-                _check_same_versions(worker, installed, {_INSTRUCTIONS: self.instructions})
-        return self._threads
-
-    def run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        """Run tasks, see `Executor`."""
-        from distributed import wait
-
-        versions = runtime.relevant_versions()
-        required = {name: versions[name] for name in runtime.RESULT_PACKAGES}
-        required |= packages_of(runner.job.study.methods) | {_INSTRUCTIONS: self.instructions}
-        run = partial(run_task_on_worker, self._share_job(runner), required)
-        remaining, pending = iter(tasks), dict[Any, Task]()
-        self._last_worker_s = time.monotonic()
+    @contextmanager
+    def _report_loss(self) -> Iterator[None]:
         try:
-            while True:
-                room = TASKS_PER_THREAD * max(1, sum(self.count_threads().values())) - len(pending)
-                if batch := list(islice(remaining, max(0, room))):
-                    futures = self._call_dask(
-                        self._client.map, run, batch, pure=False, retries=_RETRIES
-                    )
+            yield
+        except InputError:
+            raise
+        except Exception as error:  # Dask raises many different ones
+            kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
+            raise InputError(f"{self._address}: lost the scheduler ({kept})") from error
+
+    def check(self) -> dict[str, Any]:
+        """Wait for workers, compare them, and return facts about them."""
+        with self._report_loss():
+            while not self._count_threads():
+                time.sleep(_POLL_S / 10)
+            # Through Dask first: workers may have another sinsjax, or none.
+            versions = self._client.get_versions(packages=list(runtime.RESULT_PACKAGES))
+            here = versions["client"]["packages"]
+            self._required = {name: here[name] for name in runtime.RESULT_PACKAGES}
+            for worker, installed in versions["workers"].items():
+                _check_same(worker, installed["packages"], self._required)
+            sets = self._client.run(xla.instruction_set)
+        instructions = self._required[_INSTRUCTIONS] = sets[min(sets)]
+        for worker in sets:
+            _check_same(worker, {_INSTRUCTIONS: sets[worker]}, {_INSTRUCTIONS: instructions})
+        return {
+            "workers": len(self._threads),
+            "threads": sum(self._threads.values()),
+            "scheduler": self._address,
+            "instructions": instructions,  # of the machines that compute the rows
+        }
+
+    def run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[TaskResult]:
+        """Run tasks, see `Executor`."""
+        required = self._required | packages_of(runner.job.study.methods)
+        remaining, pending = iter(tasks), dict[Any, Task]()
+        try:
+            with self._report_loss():
+                run = partial(run_task_on_worker, self._share_job(runner), required)
+                while True:
+                    room = TASKS_PER_THREAD * max(1, sum(self._count_threads().values()))
+                    batch = list(islice(remaining, max(0, room - len(pending))))
+                    futures = self._client.map(run, batch, pure=False, retries=_RETRIES)
                     pending |= zip(futures, batch, strict=True)
-                if not pending:
-                    return
-                try:
-                    with self._client.as_current():
-                        finished = wait(list(pending), _POLL_S, "FIRST_COMPLETED").done
-                except TimeoutError:
-                    continue
-                except CancelledError as error:  # as the client does if the connection is lost
-                    raise self._lost_scheduler_error() from error
-                for future in finished:
-                    encoded = self._task_result(pending.pop(future), future)
-                    future.release()  # or Dask computes it again if its worker is lost
-                    yield encoded
+                    if not pending:
+                        return
+                    for future in self._wait(pending):
+                        result = _task_result(pending.pop(future), future)
+                        future.release()  # or Dask computes it again if its worker is lost
+                        yield result
         finally:
             if pending and self._client.status == "running":
                 self._client.cancel(list(pending))
 
-    def count_threads(self) -> dict[str, int]:
+    def _wait(self, pending: Iterable[Any]) -> Iterable[Any]:
+        """Return futures that are done, soon also if there are none."""
+        from distributed import wait
+
+        try:
+            with self._client.as_current():
+                return wait(list(pending), _POLL_S, "FIRST_COMPLETED").done
+        except TimeoutError:
+            return ()
+
+    def _count_threads(self) -> dict[str, int]:
         """Return the number of threads per worker; warn about lost and missing workers."""
-        before, self._threads = self._threads, dict(self._call_dask(self._client.nthreads))
-        if lost := sorted(before.keys() - self._threads):
-            names = f"{lost[0]} and {len(lost) - 1} more" if len(lost) > 1 else lost[0]
-            print_warning(f"{names}: worker lost, its tasks run again ({len(self._threads)} left)")
+        before, self._threads = self._threads, dict(self._client.nthreads())
+        for worker in sorted(before.keys() - self._threads):
+            text = f"worker lost, its tasks run again ({len(self._threads)} left)"
+            print_warning(f"{worker}: {text}")
+        waited_s = time.monotonic() - self._last_worker_s
         if self._threads:
             self._last_worker_s, self._warned = time.monotonic(), False
-            return self._threads
-        waited_s = time.monotonic() - self._last_worker_s
-        if waited_s > WORKER_TIMEOUT_S:
-            raise InputError(f"{self._name}: no worker for {WORKER_TIMEOUT_S / 60:g} min")
-        if waited_s > CONNECT_TIMEOUT_S and not self._warned:
+        elif waited_s > WORKER_TIMEOUT_S:
+            raise InputError(f"{self._address}: no worker for {WORKER_TIMEOUT_S / 60:g} min")
+        elif waited_s > CONNECT_TIMEOUT_S and not self._warned:
             self._warned = True
             print_warning(
-                f"{self._name}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min; start one:"
-                f" dask worker {self._name})"
+                f"{self._address}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min; start"
+                f" one: dask worker {self._address})"
             )
         return self._threads
-
-    def delete_job(self) -> None:
-        """Remove the job from the scheduler."""
-        if self._job is not None:
-            self._job.delete()
-        self._job = self._runner = None
 
     def _share_job(self, runner: TaskRunner) -> str:
         """Store the job of a runner on the scheduler, once; return the variable's name."""
@@ -235,46 +210,37 @@ class _Workers:
         if self._runner is not runner:
             self.delete_job()
             self._job = Variable(f"sinsjax-{uuid.uuid4().hex}", client=self._client)
-            self._call_dask(self._job.set, pickle.dumps(runner.job))
+            self._job.set(pickle.dumps(runner.job))
             self._runner = runner
         return str(self._job.name)
 
-    def _task_result(self, task: Task, future: Any) -> EncodedResult:
-        from distributed import KilledWorker
-
-        if future.status != "error":
-            return self._call_dask(future.result)
-        error = self._call_dask(future.exception)
-        if isinstance(error, InputError):
-            text = str(error)
-        elif isinstance(error, KilledWorker):
-            text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
-        else:
-            text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
-        raise InputError(f"{task.name}: {text}") from error
-
-    def _call_dask(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        try:
-            return function(*args, **kwargs)
-        except Exception as error:  # Dask raises many different ones
-            raise self._lost_scheduler_error() from error
-
-    def _lost_scheduler_error(self) -> InputError:
-        kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
-        return InputError(f"{self._name}: lost the scheduler ({kept})")
+    def delete_job(self) -> None:
+        """Remove the job from the scheduler."""
+        if self._job is not None and self._client.status == "running":
+            self._job.delete()
 
 
-def _check_same_versions(
-    worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]
-) -> None:
+def _task_result(task: Task, future: Any) -> TaskResult:
+    from distributed import KilledWorker
+
+    if future.status != "error":
+        return future.result()
+    error = future.exception()
+    text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
+    if isinstance(error, InputError):
+        text = str(error)
+    elif isinstance(error, KilledWorker):
+        text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
+    raise InputError(f"{task.name}: {text}") from error
+
+
+def _check_same(worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]) -> None:
     """Refuse a worker whose rows could differ from those of the others."""
     for name, value in required.items():
         if installed.get(name) != value:
             remedy = "install the same version on every worker"
             if name == _INSTRUCTIONS:
-                remedy = (
-                    "start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller one"
-                )
+                remedy = "start all workers with XLA_FLAGS=--xla_cpu_max_isa= set to the smaller"
             raise InputError(
                 f"{worker}: the worker has {name} {installed.get(name) or '(none)'}, not {value}:"
                 f" rows could differ ({remedy})"
@@ -287,7 +253,7 @@ _runners: dict[str, TaskRunner] = {}  # of this process, by job name; at most on
 _prepare_lock = threading.Lock()
 
 
-def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -> EncodedResult:
+def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -> TaskResult:
     """Run a task on a Dask worker.
 
     Args:
@@ -303,18 +269,17 @@ def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -
             _runners.clear()
             _runners[job_name] = _make_runner(job_name, required)
         runner = _runners[job_name]
-    return runner.compute_files(task)
+    return runner.compute(task)
 
 
 def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
-    """Configure a worker process and create the runner of a job."""
+    """Compare and configure a worker process, and create the runner of a job."""
     import jax
     from distributed import Variable, get_worker
 
     installed = runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
-    _check_same_versions(
-        get_worker().address, installed, required
-    )  # before unpickling, which needs the packages
+    # Before unpickling, which needs the packages.
+    _check_same(get_worker().address, installed, required)
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

@@ -5,7 +5,7 @@ forecast, and rejected, as fast as one of three runs.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,88 +26,54 @@ from sinsjax.study.schema import NUMBERS_DRAWN, keys_acting_as
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 
-_COMPRESSION_RATIO = 0.8
-"""Compression ratio of 8-byte numbers in Parquet: 0.6 to 0.95 on sweeps with and without nulls."""
+# Measured times, s: to import, trace and report; to compile random processes, beyond the method;
+# of a descent's step per sample, which few runs take in turn; to trace a descent.
+_START_S, _PROCESS_COMPILE_S, _DESCENT_SAMPLE_S, _TRACE_S = 4.0, 3.0, 15e-6, 2.0
 
-_BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES, _RECORD_BYTES, _RESET_BYTES = (
-    400e6,
-    160,
-    600,
-    2,
-    500,
-    60,
-)
-"""Measured memory, bytes: of a process with JAX, and per sample, variant, run, record, reset."""
+# Measured memory, bytes: of a process with JAX, and per sample, variant, run, row of curves, sample
+# that a draw keeps for further passes, and point of a search.
+_BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES = 400e6, 160, 600, 2
+_RECORD_BYTES, _KEPT_BYTES, _POINT_BYTES = 500, 48, 2000
 
-_START_S, _COMPILE_S = 3.0, 6.0
-"""Measured times, s: to import, read and report, and to compile one program (5 to 8)."""
-
-_DESCENT_PROGRAMS = 3
-"""Programs of the descents of a combination: of the start points, the gradient and the ends."""
-
-_DESCENT_SAMPLE_S = 15e-6
-"""Measured time of a sample of a descent's step, s: its few runs take turns (13 to 20 us)."""
-
-_TRACE_S = 2.0
-"""Measured time to trace a gradient, s."""
-
+_COMPRESSION_RATIO = 0.8  # of 8-byte numbers in Parquet: 0.6 to 0.95, with and without nulls
+_DESCENT_PROGRAMS = 3  # of a descent: of the start points, the gradient and the ends
+_PROCESS_KEYS = keys_acting_as("process")
 _SWITCH_KEYS = keys_acting_as("noise", "distortion", "sway", "process")
 """Keys that simplify the program if they are zero."""
-
-_MEASUREMENT_BYTES = 48  # bytes, of the stored samples of a call's draws
-
-_BLOCK_BYTES = 8 * 17  # bytes, of a second that a run keeps for a fit
-
-_POINT_BYTES = 2000  # bytes for each point of a search
-
-
-class Batch(NamedTuple):
-    """Runs whose results are stored in one directory.
-
-    Attributes:
-        name: subdirectory of the results directory; empty for that directory itself.
-        runs: number of runs, at most.
-        least_runs: number of runs, at least, if the study may stop early.
-        variants: number of variants.
-        points: number of points of a search.
-    """
-
-    name: str
-    runs: int
-    least_runs: int
-    variants: int
-    points: int = 0
 
 
 class Forecast(NamedTuple):
     """Rough requirements of a study.
 
     Attributes:
-        batches: batches of runs.
-        run_bytes: disk space per run, bytes.
-        run_s: time per run on one core, s.
-        memory: peak memory, bytes.
-        may_stop_early: whether the study may stop early.
+        runs: number of runs, at most.
+        least_runs: number of runs, at least, if the study may stop early.
         length_s: length of the longest run, s.
+        run_s: time per run on one core, s.
+        run_bytes: disk space per run, bytes.
+        memory: peak memory, bytes.
         programs: number of programs to compile, unless they are in the compile cache.
-        descents_s: time of the steps of descents, which do not fill the cores, s.
-        start_s: time to import, trace, read and report, s.
+        compile_s: time to compile all of them on one core, s.
+        start_s: time that more cores do not shorten: to import, trace and report, and of the steps
+            of descents, s.
+        folders: subdirectories of the results, of a tuning run.
     """
 
-    batches: tuple[Batch, ...]
-    run_bytes: float
-    run_s: float
-    memory: float
-    may_stop_early: bool
+    runs: int
+    least_runs: int
     length_s: float
-    programs: int = 1
-    descents_s: float = 0.0
+    run_s: float
+    run_bytes: float
+    memory: float
+    programs: int
+    compile_s: float
     start_s: float = _START_S
+    folders: tuple[str, ...] = ("",)
 
-    @property
-    def runs(self) -> int:
-        """Total number of runs."""
-        return sum(batch.runs for batch in self.batches)
+    def seconds(self, cores: int, done: int = 0) -> tuple[float, float]:
+        """Return the time if all programs are in the compile cache, and if none is, s."""
+        seconds = self.start_s + max(0, self.runs - done) * self.run_s / cores
+        return seconds, seconds + self.compile_s / min(cores, self.programs)
 
     def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
         """Return one line for a user: the runs, the remaining time, memory and disk space.
@@ -123,16 +89,13 @@ class Forecast(NamedTuple):
             return f"{runs}: all are done"
         if done:
             runs += f", {remaining:,} left"
-        duration = _format_duration(remaining * self.run_s / cores + self.descents_s)
-        prefix = "At most " if self.may_stop_early else ""
+        prefix = "At most " if self.least_runs < self.runs else ""
         processors = format_count(cores, "worker thread" if threads else "core")
+        later, first = map(_format_duration, self.seconds(cores, done))
         programs = format_count(self.programs, "program")
-        first_s = self.start_s + self.programs * _COMPILE_S
-        first_time = f"{_format_duration(first_s)} the first time"
         return (
-            f"{prefix}{runs}: roughly {duration} on {processors}, and"
-            f" {_format_duration(self.start_s)} to start ({first_time},"
-            f" which compiles {programs}), {format_bytes(self.memory)} of memory,"
+            f"{prefix}{runs}: roughly {later} on {processors} ({first} the first time, which"
+            f" compiles {programs}), {format_bytes(self.memory)} of memory,"
             f" {format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
@@ -144,51 +107,46 @@ def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
         study: checked study, whose rate is known.
         curves: whether to keep curves; None follows the study.
     """
-    least_draws = min(study.n_draws, stopping.FIRST_INTERIM) if study.stop_when else study.n_draws
-    variants = study.n_variants
-    batch = Batch("", study.n_draws * variants, least_draws * variants, variants)
-    return _forecast_batches(study, [batch], study.study.curves if curves is None else curves)
+    variants, draws = study.n_variants, study.n_draws
+    least_draws = min(draws, stopping.FIRST_INTERIM) if study.stop_when else draws
+    kept = study.study.curves if curves is None else curves
+    found = _forecast_runs(study, variants, draws * variants, curves=kept)
+    return found._replace(least_runs=least_draws * variants)
 
 
-def forecast_tuning(study: Study, curves: bool | None = None) -> Forecast:
-    """Return the forecast of a tuning run, which keeps no curves.
+def forecast_tuning(study: Study) -> Forecast:
+    """Return the forecast of a tuning run: its searches, then their evaluation.
 
     The cost of a descent's steps is a rough guess.
     """
     tune = study.tune
     assert tune is not None
+    draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     if study.record:
-        draws, evaluation_draws = (study.n_draws + 1) // 2, study.n_draws // 2
-    else:
-        draws, evaluation_draws = tune.tune_draws or 1, tune.evaluation_draws or 1
+        draws = (study.n_draws + 1) // 2, study.n_draws // 2
     space, variants = SearchSpace.from_study(study), study.n_variants
     free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
     # The schedule by the law is one more point of each, if it exists.
     laws = len(free_keys) * any(v.key in SCHEDULE_KEYS for v in space.variables)
-    points = {
+    # A gradient stores its history alone.
+    sizes = {
         "grid": sum(tune.grid_points**count for count in free_keys) + laws,
         "sobol": tune.sobol_points * len(free_keys) + laws,
     }
-    # A gradient stores its history alone.
-    points_by_name = {s: max(1, points[s]) for s in tune.searches if s in points}
-    batches = [
-        Batch(name, n * variants * draws, n * variants * draws, n * variants, n)
-        for name, n in points_by_name.items()
-    ]
-    candidates = (len(tune.searches) + 1 + bool(laws)) * variants
-    batches.append(
-        Batch(
-            "evaluation", candidates * evaluation_draws, candidates * evaluation_draws, candidates
-        )
-    )
-    forecast = _forecast_batches(study, batches, False)
-    programs = forecast.programs
-    descents = programs * len(free_keys) * ("gradient" in tune.searches)
-    steps = descents * tune.descent_steps * forecast.length_s * study.rate_hz
-    return forecast._replace(
-        programs=programs + descents * _DESCENT_PROGRAMS,
-        descents_s=steps * _DESCENT_SAMPLE_S,
-        start_s=_START_S + descents * _TRACE_S,
+    points = {name: sizes[name] for name in tune.searches if name in sizes}
+    candidates = len(tune.searches) + 1 + bool(laws)
+    runs = variants * (sum(points.values()) * draws[0] + candidates * draws[1])
+    most = max(candidates, *points.values(), 0)
+    found = _forecast_runs(study, variants * most, runs, curves=False)
+    descents = found.programs * len(free_keys) * ("gradient" in tune.searches)
+    programs = found.programs + descents * _DESCENT_PROGRAMS
+    steps = descents * tune.descent_steps * found.length_s * study.rate_hz
+    return found._replace(
+        memory=found.memory + _POINT_BYTES * most,
+        programs=programs,
+        compile_s=found.compile_s * programs / found.programs,
+        start_s=_START_S + descents * _TRACE_S + steps * _DESCENT_SAMPLE_S,
+        folders=(*points, "evaluation"),
     )
 
 
@@ -208,7 +166,18 @@ def check_resources(
         InputError: states what is needed and what is available.
     """
     if directory is not None:
-        _check_disk_space(forecast, directory, overwrite=overwrite, resume=resume)
+        done = count_stored_runs(directory, forecast.folders) if resume else 0
+        needed = max(0, forecast.least_runs - done) * forecast.run_bytes
+        free = machine.free_disk_bytes(directory)
+        if overwrite:
+            folders = (directory / name for name in forecast.folders)
+            parts = (part for folder in folders for part in folder.glob("*/part-*.parquet"))
+            free += sum(part.stat().st_size for part in parts)
+        if needed > free:
+            raise InputError(
+                f"{directory}: the results of {forecast.runs:,} runs need about"
+                f" {format_bytes(needed)}, but the disk has only {format_bytes(free)} free"
+            )
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
@@ -217,64 +186,44 @@ def check_resources(
         )
 
 
-def _check_disk_space(
-    forecast: Forecast, directory: Path, *, overwrite: bool, resume: bool
-) -> None:
-    needed = 0.0
-    for batch in forecast.batches:
-        done = count_stored_runs(directory / batch.name) if resume else 0
-        needed += max(0, batch.least_runs - done) * forecast.run_bytes
-    available = machine.free_disk_bytes(directory)
-    if overwrite:
-        available += _total_part_bytes(directory / batch.name for batch in forecast.batches)
-    if needed > available:
-        raise InputError(
-            f"{directory}: the results of {forecast.runs:,} runs need about"
-            f" {format_bytes(needed)}, but the disk has only {format_bytes(available)} free"
-        )
+def count_stored_runs(directory: Path, folders: Iterable[str] = ("",)) -> int:
+    """Return the number of runs with stored results, in some folders of a directory."""
+    manifests = (find_manifest(directory / name) for name in folders)
+    return sum(manifest.runs_done for manifest in manifests if manifest)
 
 
-def _forecast_batches(study: Study, batches: Sequence[Batch], curves: bool) -> Forecast:
+def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> Forecast:
+    """Return the forecast of some runs of a study's lengths and methods, at once."""
     records = max(span.records for span in study.distinct_spans)
     samples = records * study.record_every
-    methods = [METHODS[name] for name in study.methods]
-    step_s = max(method.step_s for method in methods)
-    run_bytes = _row_bytes(study, schemas.summary_columns(study))
     # Longer simulations do not store their increments.
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
+    memory += _VARIANT_BYTES * variants + _RUN_BYTES * runs
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
     if alternates and study.requires_sequential:
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
-        memory += _MEASUREMENT_BYTES * read_samples * draws
-    if any(METHODS[name].program.block_fit for name in study.methods):
-        blocks = study.run_s * LANES * runtime.usable_cores()  # one per second or less
-        memory += _BLOCK_BYTES * blocks
-    counts = study.combinations("reset_count") if study.has("resets") else ()
-    resets = [point["reset_count"] or 0 for point in counts]
-    variant_bytes = _VARIANT_BYTES + _RESET_BYTES * max(resets, default=0)
-    memory += max(
-        variant_bytes * b.variants + _RUN_BYTES * b.runs + _POINT_BYTES * b.points for b in batches
-    )
+        memory += _KEPT_BYTES * read_samples * draws
+    run_bytes = _row_bytes(study, schemas.summary_columns(study))
     if curves:
         run_bytes += records * _row_bytes(study, schemas.curve_columns(study))
-        curve_records = max(batch.runs for batch in batches) * records
-        memory += _RECORD_BYTES * min(curve_records, max(CHUNK_RECORDS, 2 * records))
-    length_s = samples / study.rate_hz
-    replays_s = (
-        p["coarse_duration_s"] for p in study.coarse_stages if p["coarse_then"] == "replay"
-    )
-    steps = samples + max(replays_s, default=0.0) * study.rate_hz
-    may_stop_early = study.stop_when is not None
+        memory += _RECORD_BYTES * min(runs * records, max(CHUNK_RECORDS, 2 * records))
+    methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
+    compile_s = sum(method.compile_s for method in methods) / len(methods)
+    readable = [key for key in _PROCESS_KEYS if study.is_readable(key)]
+    given = {key for key in readable if any(map(np.any, study.coded(key).choices))}
+    if given or not set(readable).isdisjoint(study.drawn_keys):
+        compile_s += _PROCESS_COMPILE_S
     return Forecast(
-        tuple(batches),
-        run_bytes,
-        steps * step_s,
-        memory,
-        may_stop_early,
-        length_s,
-        _count_programs(study),
+        runs=runs,
+        least_runs=runs,
+        length_s=samples / study.rate_hz,
+        run_s=samples * max(method.step_s for method in methods),
+        run_bytes=run_bytes,
+        memory=memory,
+        programs=programs,
+        compile_s=programs * compile_s,
     )
 
 
@@ -294,24 +243,13 @@ def _count_programs(study: Study) -> int:
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
     """Return the disk space per row, bytes; only continuous numbers count, others compress well."""
-    numbers = 0
-    for column in columns:
-        if column.name in study.drawn_keys:
-            numbers += NUMBERS_DRAWN[column.name]
-        elif pa.types.is_floating(column.dtype) and column.name not in study.axis_keys:
-            numbers += 1
+    numbers = sum(
+        NUMBERS_DRAWN.get(column.name, 1)
+        for column in columns
+        if column.name in study.drawn_keys
+        or (pa.types.is_floating(column.dtype) and column.name not in study.axis_keys)
+    )
     return 8 * _COMPRESSION_RATIO * numbers
-
-
-def count_stored_runs(directory: Path) -> int:
-    """Return the number of runs with stored results."""
-    manifest = find_manifest(directory)
-    return manifest.runs_done if manifest else 0
-
-
-def _total_part_bytes(directories: Iterable[Path]) -> int:
-    parts = (p for d in directories for p in d.glob("*/part-*.parquet"))
-    return sum(path.stat().st_size for path in parts)
 
 
 def format_bytes(count: float) -> str:

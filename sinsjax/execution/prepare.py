@@ -5,7 +5,7 @@ checks nothing again. Nothing is created or changed.
 """
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,46 +49,12 @@ class RunOptions(NamedTuple):
 _DEFAULTS = RunOptions()
 
 
-class JobKind(NamedTuple):
-    """Steps of the preparation that differ between a sweep and a tuning run.
-
-    Attributes:
-        check_available: rejects a directory in use, as `resume.check_available`.
-        make_forecast: returns the forecast of a study, with or without curves.
-        continue_job: returns the job as a continuation of the results in its directory.
-        check_study: rejects a study, before the directory is checked.
-        level_only: returns the study to run on a record whose gyros hide north, as
-            `checks.level_only`.
-    """
-
-    check_available: Callable[..., None]
-    make_forecast: Callable[[Study, bool | None], Forecast]
-    continue_job: Callable[[Job], Job]
-    check_study: Callable[[Study], Any]
-    level_only: Callable[[Study, checks.RecordCheck], tuple[Study, list[str]]]
-
-
-def _accept_any(study: Study) -> None:
-    """Accept any study."""
-
-
-SWEEP = JobKind(
-    resume.check_available,
-    forecast.forecast_sweep,
-    resume.continue_job,
-    _accept_any,
-    checks.level_only,
-)
-
-
 def prepare_job(
     source: Path | str | Study,
     overrides: Mapping[str, Any] | None = None,
     record: StoredRecord | Path | str | None = None,
     reference: Path | str | None = None,
     options: RunOptions = _DEFAULTS,
-    *,
-    kind: JobKind = SWEEP,
 ) -> Job:
     """Check a study with its record and options, and forecast its cost.
 
@@ -98,7 +64,6 @@ def prepare_job(
         record: inertial record of a recorded study, or its file.
         reference: file of the reference attitude of a record that is a file.
         options: options of the run.
-        kind: sweep or tuning run.
 
     Returns:
         The job, at the rate of its record, with warnings, notes and forecast.
@@ -108,58 +73,125 @@ def prepare_job(
             wrong; the directory cannot be used or contains results of another study; disk or memory
             are too small; or double precision cannot be enabled.
     """
+    job = load_job(source, overrides, record, reference, options)
+    if job.directory is not None:
+        resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+    job = _choose_curves(job, options.max_curve_runs)
+    job, found = add_record(job, record, reference)
+    if found is not None:
+        study, doubts = checks.level_only(job.study, found)
+        job = job._replace(study=study, warnings=(*found.warnings, *doubts))
+    if job.directory is not None and job.resume:
+        job = resume.continue_job(job)
+    job = job._replace(notes=(*list_ignored_sections(job.study), *job.notes))
+    return finish_job(job, forecast.forecast_sweep(job.study, job.curves))
+
+
+# --- steps of preparing a sweep or a tuning run, in order ---------------------------------------
+
+
+def load_job(
+    source: Path | str | Study,
+    overrides: Mapping[str, Any] | None,
+    record: StoredRecord | Path | str | None,
+    reference: Path | str | None,
+    options: RunOptions,
+) -> Job:
+    """Load a study, and check that it can run, with a record or without, into its directory.
+
+    The arguments are those of `prepare_job`. The record is read by `add_record`.
+    """
     runtime.ensure_configured()
-    results_directory = (
-        None if options.directory is None else directory.results_path(options.directory)
-    )
-    study, unused_notes = _load_source(source, overrides)
-    name = study.name if isinstance(source, Study) else source_name(source)
+    path = None if options.directory is None else directory.results_path(options.directory)
+    notes: list[str] = []
+    if isinstance(source, Study):
+        study, name = source.replace(overrides) if overrides else source, source.name
+    else:
+        study, notes = load_with_notes(source, overrides or {})
+        name = source_name(source)
     checks.refuse_external(study.study.external, name)
-    kind.check_study(study)
-    _check_record_needed(study, name, record, reference)
-    if results_directory is not None:
-        directory.check_unlocked(results_directory)
-        kind.check_available(results_directory, overwrite=options.overwrite, resume=options.resume)
-    curves, notes = _resolve_curves(study, name, options)
-    notes = [*unused_notes, *(list_ignored_sections(study) if kind is SWEEP else ()), *notes]
-    stored = _resolve_record(study, record, reference)
-    study_doubts = list[str]()
-    if stored is not None:
-        study = with_rate(study, stored.record.rate_hz)
-        found = checks.check_record(study, stored)
-        study, level_warnings = kind.level_only(study, found)
-        study_doubts = [*found.warnings, *level_warnings]
-    job = Job(
+    given = reference if record is None else record
+    if given is not None and not study.is_recorded:
+        text = given if isinstance(given, Path | str) else "a record"
+        raise InputError(f"{name}: has no [record] section to read {text} with")
+    if study.is_recorded and record is None:
+        hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
+        raise InputError(f"{name}: [record]: the study needs a record ({hint})")
+    if path is not None:
+        directory.check_unlocked(path)
+        if options.resume and not path.exists():
+            notes.append(f"{path}: no results to resume, all runs are new.")
+    return Job(
         study,
-        stored,
-        curves,
-        options.chunk_runs,
-        (),
-        results_directory,
-        options.overwrite,
-        options.resume,
-        source=_source_label(source, options),
+        curves=options.curves,
+        chunk_runs=options.chunk_runs,
+        directory=path,
+        overwrite=options.overwrite,
+        resume=options.resume,
+        manifest_state=None if path is None else resume.manifest_state(path),
+        source=_source_label(source, options.source),
+        notes=tuple(notes),
     )
-    if results_directory is not None:
-        job = job._replace(manifest_state=resume.manifest_state(results_directory))
-        if options.resume and not results_directory.exists():
-            notes.append(f"{results_directory}: no results to resume, all runs are new.")
-        if options.resume:
-            job = kind.continue_job(job)
+
+
+def add_record(
+    job: Job, record: StoredRecord | Path | str | None, reference: Path | str | None
+) -> tuple[Job, checks.RecordCheck | None]:
+    """Read the record of a job, if it has one, and check it at its own rate."""
+    study = job.study
+    if record is None:
+        return job, None
+    if isinstance(record, Path | str):
+        record = _read_stored_record(study, record, reference)
+    if not isinstance(record, StoredRecord):
+        raise InputError(
+            f"{study.name}: record: must be what sinsjax.load_increments or"
+            f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
+        )
+    study = with_rate(study, record.record.rate_hz)
+    return job._replace(study=study, stored=record), checks.check_record(study, record)
+
+
+def finish_job(job: Job, expected_cost: Forecast) -> Job:
+    """Check what a job needs apart from its record, and collect its warnings and notes."""
+    study, notes = job.study, list(job.notes)
     read_attitude(study)
-    expected_cost = kind.make_forecast(study, curves)
     forecast.check_resources(
-        study, expected_cost, results_directory, overwrite=options.overwrite, resume=options.resume
+        study, expected_cost, job.directory, overwrite=job.overwrite, resume=job.resume
     )
-    checks.check_plugins(study, stored)
-    if stored is None:
-        study_doubts = checks.study_warnings(study)
+    checks.check_plugins(study, job.stored)
+    doubts = job.warnings if study.is_recorded else tuple(checks.study_warnings(study))
     if dropped_s := study.dropped_s:
         notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
     notes += describe_rounding(study)
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
-    return job._replace(warnings=tuple(study_doubts), notes=tuple(notes), forecast=expected_cost)
+    return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected_cost)
+
+
+def _choose_curves(job: Job, max_runs: int | None) -> Job:
+    """Return a job that keeps all curves if its runs are few enough."""
+    study, runs = job.study, job.study.n_draws * job.study.n_variants
+    if max_runs is None:
+        return job
+    if runs <= max_runs:
+        return job._replace(curves=True)
+    if study.is_recorded:
+        note = f"{runs} runs: curves are kept only if [study] curves = true."
+        return job._replace(curves=None, notes=(*job.notes, note))
+    raise InputError(
+        f"{study.name}: {runs} runs are too many to keep every curve (at most {max_runs}; use"
+        " `sinsjax sweep`)"
+    )
+
+
+def _source_label(source: Path | str | Study, label: Path | str | None) -> str | None:
+    """Return the label of the study in the manifest; None for a study without a file."""
+    if label is None and not isinstance(source, Study):
+        label = find_study_file(source)
+    if isinstance(label, Path):  # an absolute path means nothing on another machine
+        return label.name if label.is_absolute() else label.as_posix()
+    return label
 
 
 def list_ignored_sections(study: Study) -> list[str]:
@@ -246,68 +278,4 @@ def _read_stored_record(
     read_data = read_record(record, layout)
     return StoredRecord.from_record(
         read_data, None if reference is None else read_reference(reference, layout)
-    )
-
-
-def _load_source(
-    source: Path | str | Study, overrides: Mapping[str, Any] | None
-) -> tuple[Study, list[str]]:
-    """Return the study, and lines about keys of its file that have no effect."""
-    if isinstance(source, Study):
-        return source.replace(overrides) if overrides else source, []
-    return load_with_notes(source, overrides or {})
-
-
-def _source_label(source: Path | str | Study, options: RunOptions) -> str | None:
-    """Return the label of the study in the manifest; None for a study without a file."""
-    label = options.source
-    if label is None and not isinstance(source, Study):
-        label = find_study_file(source)
-    if isinstance(label, Path):  # an absolute path means nothing on another machine
-        return label.name if label.is_absolute() else label.as_posix()
-    return label
-
-
-def _check_record_needed(
-    study: Study,
-    name: str,
-    record: StoredRecord | Path | str | None,
-    reference: Path | str | None,
-) -> None:
-    given = record if record is not None else reference
-    if study.is_recorded and record is None:
-        hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
-        raise InputError(f"{name}: [record]: the study needs a record ({hint})")
-    if given is not None and not study.is_recorded:
-        source = given if isinstance(given, Path | str) else "a record"
-        raise InputError(f"{name}: has no [record] section to read {source} with")
-
-
-def _resolve_record(
-    study: Study,
-    record: StoredRecord | Path | str | None,
-    reference: Path | str | None,
-) -> StoredRecord | None:
-    if record is None or isinstance(record, StoredRecord):
-        return record
-    if isinstance(record, Path | str):
-        return _read_stored_record(study, record, reference)
-    raise InputError(
-        f"{study.name}: record: must be what sinsjax.load_increments or"
-        f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
-    )
-
-
-def _resolve_curves(study: Study, name: str, options: RunOptions) -> tuple[bool | None, list[str]]:
-    """Return whether to store curves, and notes about that."""
-    runs, max_runs = study.n_draws * study.n_variants, options.max_curve_runs
-    if max_runs is None:
-        return options.curves, []
-    if runs <= max_runs:
-        return True, []
-    if study.is_recorded:
-        return None, [f"{runs} runs: curves are kept only if [study] curves = true."]
-    raise InputError(
-        f"{name}: {runs} runs are too many to keep every curve (at most {max_runs}; use"
-        " `sinsjax sweep`)"
     )

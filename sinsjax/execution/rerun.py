@@ -17,8 +17,8 @@ from sinsjax.execution import directory as results_directory
 from sinsjax.execution import results
 from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import RERUN_FILES
-from sinsjax.execution.outputs import RunOutput
 from sinsjax.execution.prepare import load_increments
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import to_one_line
 from sinsjax.methods.registry import packages_of
@@ -57,7 +57,8 @@ def repeat_run(study: Study, run_id: int, stored_record: StoredRecord | None = N
     chunks = Chunks(batch, tiles_per_chunk=1)
     first = int(np.flatnonzero(batch.draws.draw_id == draw)[0])
     chunk = chunks.compute(chunks.layout.chunk_of(first, place))
-    tables = RunOutput(scenario).make_tables(chunk, batch.variant_ids)
+    builder = TableBuilder(study, has_truth=scenario.has_truth, curves=True)
+    tables = builder.make_tables(chunk, batch.variant_ids)
     results = (tables["summary"], tables["curves"])
     return Rerun(*(table.filter(pa.compute.equal(table["run_id"], run_id)) for table in results))
 

@@ -2,59 +2,58 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
-from itertools import takewhile
+from itertools import chain, takewhile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pyarrow as pa
 
 from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import resume, schemas, stopping
-from sinsjax.execution import tasks as study_tasks
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
-from sinsjax.execution.store import DirectoryStore, MemoryStore, ResultSink
+from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
+from sinsjax.execution.store import DirectoryStore
 from sinsjax.execution.study_results import Results
-from sinsjax.execution.tasks import Executor, Job, Task, TaskRunner
+from sinsjax.execution.tasks import Executor, Job, Task, TaskResult, TaskRunner, local_executor
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 
-
-class RunProgress(NamedTuple):
-    """Progress of a study.
-
-    Attributes:
-        done: completed runs.
-        total: number of runs; with [stop_when], at most.
-        failures: runs of this session that diverged or became non-finite; None if there are none
-            to count.
-        done_before: runs completed before this session.
-        unit: what is counted, in words.
-        compiled: programs of the running stage that are compiled.
-        programs: number of them; 0 if it is not known.
-    """
-
-    done: int
-    total: int
-    failures: int | None
-    done_before: int
-    unit: str = "runs"
-    compiled: int = 0
-    programs: int = 0
-
-
 MAX_CURVE_RUNS = 1024
 """Largest number of runs whose curves are all stored by default."""
 
-ProgressCallback = Callable[[RunProgress], None]
-"""Progress callback, called before the first chunk and after every one.
 
-Also when a program has been compiled, then from another thread, though never at the same time.
-"""
+class MemorySink:
+    """The tables of a job in memory, with the methods of `DirectoryStore` that a job needs."""
+
+    place = "memory"
+
+    def __init__(self) -> None:
+        self._tables: dict[str, list[pa.Table]] = {}
+
+    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
+        """Return all tasks."""
+        return list(tasks)
+
+    def add_result(self, result: TaskResult) -> None:
+        """Keep the tables of one task."""
+        for name, table in result.content.items():
+            self._tables.setdefault(name, []).append(table)
+
+    def read_summary(self, names: list[str]) -> pa.Table:
+        """Return some columns of all rows of the summary."""
+        return self.tables()["summary"].select(names)
+
+    def finish(self, state: str, **facts: Any) -> None:
+        """Do nothing."""
+
+    def tables(self) -> dict[str, pa.Table]:
+        """Return the rows of all tasks by dataset, in any order."""
+        return {name: pa.concat_tables(tables) for name, tables in self._tables.items()}
 
 
 def run(
@@ -63,6 +62,7 @@ def run(
     *,
     curves: bool | None = None,
     chunk_runs: int | None = None,
+    progress: bool | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> Results:
     """Run a study in memory.
@@ -72,6 +72,8 @@ def run(
         record: the record of a recorded study.
         curves: whether to keep curves; None follows the study.
         chunk_runs: runs per chunk; does not affect the rows.
+        progress: whether to show the progress; None shows it on a terminal or in a notebook, after
+            two seconds.
         on_progress: called with the progress after every chunk.
 
     Returns:
@@ -88,9 +90,8 @@ def run(
     """
     study = load_study(study)
     options = RunOptions(curves=curves, chunk_runs=chunk_runs)
-    return _run_to_results(
-        issue_warnings(prepare_job(study, None, record, None, options)), on_progress
-    )
+    job = issue_warnings(prepare_job(study, None, record, None, options))
+    return _run_to_results(job, progress, on_progress)
 
 
 def align(
@@ -100,6 +101,7 @@ def align(
     *,
     overrides: Mapping[str, Any] | None = None,
     curves: bool | None = None,
+    progress: bool | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> Results:
     """Align recorded data in memory, from every start time of the study.
@@ -110,6 +112,8 @@ def align(
         reference: file of a reference attitude to compare with, if the record is a file.
         overrides: values of the study by ``section.key`` to change, see `Study.replace`.
         curves: whether to keep curves; None keeps them for up to 1,024 runs.
+        progress: whether to show the progress; None shows it on a terminal or in a notebook, after
+            two seconds.
         on_progress: called with the progress after every chunk.
 
     Returns:
@@ -141,12 +145,11 @@ def align(
     max_curve_runs = MAX_CURVE_RUNS if curves is None else None
     options = RunOptions(curves=curves, max_curve_runs=max_curve_runs)
     study = load_study(study, overrides)  # here, to warn about keys that a change drops
-    return _run_to_results(
-        issue_warnings(prepare_job(study, None, record, reference, options)), on_progress
-    )
+    job = issue_warnings(prepare_job(study, None, record, reference, options))
+    return _run_to_results(job, progress, on_progress)
 
 
-def run_into(
+def run_into(  # noqa: PLR0913
     study: Study | str | Path,
     directory: str | Path,
     record: StoredRecord | None = None,
@@ -156,6 +159,7 @@ def run_into(
     overwrite: bool = False,
     resume: bool = False,
     executor: Executor | None = None,
+    progress: bool | None = None,
     on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
     source: Path | str | None = None,
@@ -171,6 +175,8 @@ def run_into(
         overwrite: whether to remove existing results.
         resume: whether to keep complete parts of the same study and compute only the others.
         executor: runs the tasks; None for all devices of this process.
+        progress: whether to show the progress; None shows it on a terminal or in a notebook, after
+            two seconds.
         on_progress: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
         source: label of the study in the manifest; None for its file.
@@ -196,7 +202,8 @@ def run_into(
     )
     began = time.monotonic()
     job = issue_warnings(prepare_job(study, None, record, None, options))
-    run_job(job, executor=executor, on_progress=on_progress, stop=stop)
+    with python_progress(job.study.name, progress, on_progress) as show:
+        run_job(job, executor=executor, on_progress=show, stop=stop)
     return Results(job.study, time.monotonic() - began, directory=job.directory)
 
 
@@ -221,7 +228,7 @@ def run_job(
         StudyInterrupted: ``stop`` was set; the running chunks have been stored.
     """
     assert job.directory is not None
-    executor = executor or study_tasks.local_executor()
+    executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
     if job.resume:
         resume.check_instruction_set(job.directory, session["instructions"])
@@ -237,22 +244,23 @@ def run_in_memory(job: Job, on_progress: ProgressCallback | None = None) -> dict
     """Run a job in memory.
 
     Args:
-        job: prepared job.
+        job: prepared job without a directory.
         on_progress: called with the progress before the first chunk and after every one.
 
     Returns:
         The rows of all tasks by dataset, in any order.
     """
-    store = MemoryStore()
-    _run_tasks(
-        TaskRunner(job), store, study_tasks.memory_executor(), on_progress, threading.Event()
-    )
-    return store.tables()
+    sink = MemorySink()
+    _run_tasks(TaskRunner(job), sink, local_executor(), on_progress, threading.Event())
+    return sink.tables()
 
 
-def _run_to_results(job: Job, on_progress: ProgressCallback | None) -> Results:
+def _run_to_results(
+    job: Job, progress: bool | None, on_progress: ProgressCallback | None
+) -> Results:
     began = time.monotonic()
-    tables = run_in_memory(job, on_progress)
+    with python_progress(job.study.name, progress, on_progress) as show:
+        tables = run_in_memory(job, show)
     order = [("run_id", "ascending"), ("time_s", "ascending")]
     curves = tables.get(
         "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
@@ -263,29 +271,31 @@ def _run_to_results(job: Job, on_progress: ProgressCallback | None) -> Results:
 
 def _run_tasks(
     runner: TaskRunner,
-    sink: ResultSink,
+    sink: DirectoryStore | MemorySink,
     executor: Executor,
     on_progress: ProgressCallback | None,
     stop: threading.Event,
 ) -> None:
     """Run the tasks that a sink lacks, stage by stage."""
     study, tasks_by_stage = runner.job.study, runner.plan_tasks()
-    missing = set(sink.missing_tasks(task for tasks in tasks_by_stage for task in tasks))
-    counter = _ProgressCounter(study, on_progress)
-    counter.start(task for tasks in tasks_by_stage for task in tasks if task not in missing)
+    missing = set(sink.missing_tasks(chain.from_iterable(tasks_by_stage)))
+    done = sum(task.runs for task in chain.from_iterable(tasks_by_stage) if task not in missing)
+    progress = _ProgressReport(
+        RunProgress(done, study.n_draws * study.n_variants, 0, done), on_progress
+    )
     with closing(runner):
         for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
             pending = [task for task in tasks if task in missing]
-            ready = (
-                runner.compile_ahead(pending, counter.set_programs) if executor.local else pending
-            )
+            ready: Iterable[Task] = pending
+            if executor.local:
+                ready = runner.compile_ahead(pending, progress.set_programs)
             for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
                 sink.add_result(result)
                 missing.remove(result.task)
-                counter.add_task(result.task, result.failures)
+                progress.add_result(result)
             if not missing.isdisjoint(pending):
                 sink.finish("interrupted")
-                now = counter.progress
+                now = progress.now
                 text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
                 raise StudyInterrupted(text)
             if _may_stop(study, sink, draws):
@@ -293,36 +303,29 @@ def _run_tasks(
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 
-def _may_stop(study: Study, sink: ResultSink, draws: range) -> bool:
+def _may_stop(study: Study, sink: DirectoryStore | MemorySink, draws: range) -> bool:
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     rows = sink.read_summary(stopping.required_columns(study))
     return stopping.analyse_interim(study, rows, draws.stop).is_sufficient
 
 
-class _ProgressCounter:
-    """Track progress; calls from several threads follow one another."""
+class _ProgressReport:
+    """The progress of a job; reports from several threads follow one another."""
 
-    def __init__(self, study: Study, on_progress: ProgressCallback | None) -> None:
-        self.progress = RunProgress(0, study.n_draws * study.n_variants, 0, 0)
-        self._on_progress = on_progress or (lambda progress: None)
+    def __init__(self, now: RunProgress, on_progress: ProgressCallback | None) -> None:
+        self.now, self._on_progress = now, on_progress or (lambda progress: None)
         self._lock = threading.Lock()
-
-    def start(self, stored: Iterable[Task]) -> None:
-        before = sum(task.runs for task in stored)
-        self._change(lambda now: now._replace(done=before, done_before=before))
+        self._on_progress(now)
 
     def set_programs(self, compiled: int, programs: int) -> None:
-        self._change(lambda now: now._replace(compiled=compiled, programs=programs))
+        self._report(compiled=compiled, programs=programs)
 
-    def add_task(self, task: Task, failures: int) -> None:
-        self._change(
-            lambda now: now._replace(
-                done=now.done + task.runs, failures=(now.failures or 0) + failures
-            )
-        )
+    def add_result(self, result: TaskResult) -> None:
+        failures = (self.now.failures or 0) + result.failures
+        self._report(done=self.now.done + result.task.runs, failures=failures)
 
-    def _change(self, change: Callable[[RunProgress], RunProgress]) -> None:
+    def _report(self, **changes: Any) -> None:
         with self._lock:
-            self.progress = change(self.progress)
-            self._on_progress(self.progress)
+            self.now = self.now._replace(**changes)
+            self._on_progress(self.now)

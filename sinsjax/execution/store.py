@@ -1,4 +1,4 @@
-"""Storage of a job's results while its chunks are computed: a directory, or tables in memory.
+"""Storage of a job's results in a directory while its chunks are computed.
 
 Every file of a directory is written under a temporary name, synced and renamed, so a sweep killed
 at any point leaves only complete parts. A part contains its own checksum, study and chunk, so it is
@@ -8,7 +8,7 @@ valid whether or not the manifest lists it yet.
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,7 +20,7 @@ from sinsjax.execution import resume as resuming
 from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, find_manifest
 from sinsjax.execution.results import read_part_metadata
 from sinsjax.execution.sealed import to_sealed_json
-from sinsjax.execution.tasks import EncodedResult, Task, TaskResult, TaskRunner
+from sinsjax.execution.tasks import Task, TaskResult, TaskRunner
 from sinsjax.platform.files import atomic_write, read_regular_file, unwritable_message
 from sinsjax.study.identity import fingerprint, sections_to_json
 from sinsjax.study.load import study_to_toml
@@ -29,62 +29,6 @@ _MANIFEST_SHARE = 0.05  # largest share of the time for writing manifests
 _MANIFEST_EVERY_S = 1.0  # least interval: writing manifests blocks the threads
 _SESSION_ENTRIES = ("versions", "instructions", "devices", "devices_are")
 """Entries of the last session that are repeated for the whole directory."""
-
-
-@runtime_checkable
-class ResultSink(Protocol):
-    """Destination of the results of a job."""
-
-    place: str
-
-    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
-        """Return the tasks whose results are not stored yet."""
-        ...
-
-    def add_result(self, result: Any) -> None:
-        """Add the result of one task."""
-        ...
-
-    def read_summary(self, names: list[str]) -> pa.Table:
-        """Return some columns of all stored rows of the summary."""
-        ...
-
-    def finish(self, state: str, **facts: Any) -> None:
-        """Record that the job is "complete" or "interrupted"."""
-        ...
-
-
-class MemoryStore:
-    """The tables of a job in memory.
-
-    Attributes:
-        place: location of the results, as text.
-    """
-
-    place = "memory"
-
-    def __init__(self) -> None:
-        self._tables: dict[str, list[pa.Table]] = {}
-
-    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
-        """Return all tasks."""
-        return list(tasks)
-
-    def add_result(self, result: TaskResult) -> None:
-        """Add the tables of one task."""
-        for name, table in result.tables.items():
-            self._tables.setdefault(name, []).append(table)
-
-    def read_summary(self, names: list[str]) -> pa.Table:
-        """Return some columns of all rows of the summary."""
-        return self.tables()["summary"].select(names)
-
-    def finish(self, state: str, **facts: Any) -> None:
-        """Do nothing."""
-
-    def tables(self) -> dict[str, pa.Table]:
-        """Return the rows of all tasks by dataset, in any order."""
-        return {name: pa.concat_tables(tables) for name, tables in self._tables.items()}
 
 
 class DirectoryStore:
@@ -176,7 +120,7 @@ class DirectoryStore:
         self._write_study()  # last: an extension missing in the manifest can be requested again
         return missing
 
-    def add_result(self, result: EncodedResult) -> None:
+    def add_result(self, result: TaskResult) -> None:
         """Write the parts of one task.
 
         Raises:
@@ -188,7 +132,7 @@ class DirectoryStore:
                 path.parent.mkdir(exist_ok=True)
             except OSError as error:
                 raise InputError(unwritable_message(path, error)) from error
-            _write_file(path, result.files[dataset])
+            _write_file(path, result.content[dataset])
         self._chunks[result.task.name] = self._chunk_entry(result.task, round(result.seconds, 4))
         if time.monotonic() >= self._next_manifest:
             self._write_manifest("running")

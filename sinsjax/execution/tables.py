@@ -32,14 +32,20 @@ from sinsjax.units import ARCMIN, DEG
 
 
 class TableBuilder:
-    """Conversion of a study's chunks to tables."""
+    """Conversion of a study's chunks to tables.
 
-    def __init__(self, study: Study, *, has_truth: bool = True) -> None:
+    Attributes:
+        schemas: columns of the datasets in the order in which they are written: a row of the last
+            one exists only if those of the others do.
+    """
+
+    def __init__(self, study: Study, *, has_truth: bool = True, curves: bool = False) -> None:
         """Prepare the columns that do not depend on the chunk.
 
         Args:
             study: checked study.
             has_truth: False for a record without a reference; columns that need one are null.
+            curves: whether the chunks have curves.
         """
         self._study = study
         self._has_truth = has_truth
@@ -48,6 +54,8 @@ class TableBuilder:
         self._last_reset_s = last_scheduled_reset_s(study)
         self.summary_columns = schemas.summary_columns(study)
         self.curve_columns = schemas.curve_columns(study)
+        self.schemas = {"curves": self.curve_columns} if curves else {}
+        self.schemas["summary"] = self.summary_columns
         self._has_data_columns = schemas.has_data_columns(study)
         self._data_before_start_s = _data_before_start_s(study)
         self._by_variant = schemas.variant_columns(study, self.summary_columns)
@@ -63,6 +71,13 @@ class TableBuilder:
             )
             # A rate of 99.9999999 Hz, from rounded stamps, must not move a start.
             self._start_s = np.where(np.abs(actual_s - given_s) < 1e-6, given_s, actual_s)
+
+    def make_tables(self, chunk: Chunk, variant_ids: np.ndarray) -> dict[str, pa.Table]:
+        """Return the tables of a chunk by dataset; the arguments are those of `summary_table`."""
+        tables = {"summary": self.summary_table(chunk, variant_ids)}
+        if "curves" in self.schemas:
+            tables["curves"] = self.curve_table(chunk, variant_ids)
+        return tables
 
     def summary_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the summary of a chunk, one row per run.

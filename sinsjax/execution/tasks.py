@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import count, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from sinsjax import columns
 from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads, target_devices
@@ -26,14 +27,14 @@ from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
-from sinsjax.execution.outputs import RunOutput
 from sinsjax.execution.success import require_floor
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
-_CACHED_BATCHES = 3  # each has its own increments; threads may work on two programs
+_CACHED_CHUNKS = 3  # each has its own increments; threads may work on two programs
 _MOST_COMPILERS = 4  # programs that are compiled side by side, each in memory of its own
 
 
@@ -113,33 +114,17 @@ class Task(NamedTuple):
 
 
 class TaskResult(NamedTuple):
-    """Tables of one task.
+    """Result of one task.
 
     Attributes:
         task: the task.
-        tables: by dataset.
+        content: by dataset: tables, or sealed Parquet files if the job has a directory.
         failures: runs that diverged or became non-finite.
         seconds: time taken without compilation, s.
     """
 
     task: Task
-    tables: dict[str, pa.Table]
-    failures: int
-    seconds: float
-
-
-class EncodedResult(NamedTuple):
-    """A task's tables as Parquet files.
-
-    Attributes:
-        task: the task.
-        files: contents by the name of the dataset.
-        failures: runs that diverged or became non-finite.
-        seconds: time taken without compilation, s.
-    """
-
-    task: Task
-    files: dict[str, bytes]
+    content: dict[str, Any]
     failures: int
     seconds: float
 
@@ -162,29 +147,21 @@ class TaskRunner:
                 floor are to be judged from it.
         """
         require_floor(job.study)
-        self.job = job
-        self.scenario = Scenario(job.study, job.stored, curves=job.curves)
-        self._output = RunOutput(self.scenario)
-        self.schemas = self._output.schemas
-        self._specs = self.scenario.specs
+        self.job, self.identity = job, job.identity
+        self.scenario = scenario = Scenario(job.study, job.stored, curves=job.curves)
+        self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
+        self.schemas = self._tables.schemas
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
-        self.identity = job.identity
-        self._lock = threading.Lock()
         first_duplicate = job.study.duplicate_of
         self._duplicates = [
             find_duplicates(spec, job.initial_draws, first_duplicate[ids])
-            for spec, ids in zip(self._specs, self.scenario.variant_ids, strict=True)
+            for spec, ids in zip(scenario.specs, scenario.variant_ids, strict=True)
         ]
-        self._cached_batch = lru_cache(_CACHED_BATCHES)(self._make_batch)
-        self._cached_blank_batch = lru_cache(1)(partial(self._make_batch, blank=True))
-        self._cached_chunks = lru_cache(_CACHED_BATCHES)(self._make_chunks)
+        self._lock = threading.Lock()
         self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
         self._compiling = lru_cache(None)(self._begin_to_compile)
-        first_block = self._split_draws(self.stages[0])[0]
-        if self.scenario.stored is None:
-            self._cached_blank_batch(0, first_block)
-        else:
-            self._cached_batch(0, first_block)
+        self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
+        self._blank_batch(0, self._split_draws(self.stages[0])[0])
 
     @property
     def stages(self) -> list[range]:
@@ -194,11 +171,11 @@ class TaskRunner:
 
     def plan_tasks(self) -> list[list[Task]]:
         """Return the tasks of every stage."""
-        study, chunks_before = self.job.study, [0] * len(self._specs)
+        study, chunks_before = self.job.study, [0] * len(self.scenario.specs)
         tasks_by_stage = []
         for stage in self.stages:
             tasks: list[Task] = []
-            for program, draws in product(range(len(self._specs)), self._split_draws(stage)):
+            for program, draws in product(range(len(chunks_before)), self._split_draws(stage)):
                 more = self._plan_program(program, draws, chunks_before[program])
                 chunks_before[program] += len(more)
                 tasks += more
@@ -213,7 +190,7 @@ class TaskRunner:
         """Return the tasks of some draws of a program, numbered from ``chunks_before``."""
         duplicates, ids = self._duplicates[program], self.scenario.variant_ids[program]
         variants = len(ids) if duplicates is None else len(duplicates.computed)
-        spec, tasks = self._specs[program], []
+        spec, tasks = self.scenario.specs[program], []
         layout = Layout(spec, len(draws), variants, tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
@@ -231,23 +208,21 @@ class TaskRunner:
         firsts = range(stage.start, stage.stop, _DRAWS_PER_BLOCK)
         return [range(first, min(first + _DRAWS_PER_BLOCK, stage.stop)) for first in firsts]
 
-    def compute_tables(self, task: Task) -> TaskResult:
-        """Compute the tables of one task."""
+    def compute(self, task: Task) -> TaskResult:
+        """Compute one task: equal tables, and equal bytes, on any machine."""
         with self._lock:  # otherwise every thread would compile
-            chunks = self._cached_chunks(task.part, range(*task.draws))
+            chunks = self._chunks(task.part, range(*task.draws))
         start_s = time.perf_counter()
         chunk = chunks.compute(task.call)
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
-        tables = self._output.make_tables(chunk, self.scenario.variant_ids[task.part])
+        content = self._tables.make_tables(chunk, self.scenario.variant_ids[task.part])
         seconds = time.perf_counter() - start_s
-        return TaskResult(task, tables, self._output.count_failures(tables), seconds)
-
-    def compute_files(self, task: Task) -> EncodedResult:
-        """Compute the Parquet files of one task, with the same bytes on any machine."""
-        _, tables, failures, seconds = self.compute_tables(task)
-        files = {name: self.to_parquet(name, table, task) for name, table in tables.items()}
-        return EncodedResult(task, files, failures, seconds)
+        failed = pc.is_in(content["summary"]["status"], pa.array(columns.FAILED))
+        failures = pc.sum(failed).as_py() or 0
+        if self.job.directory is not None:
+            content = {name: self.to_parquet(name, t, task) for name, t in content.items()}
+        return TaskResult(task, content, failures, seconds)
 
     def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.
@@ -266,11 +241,6 @@ class TaskRunner:
             chunk["extended_at"] = before
         return {results.STUDY_METADATA: self.identity, results.CHUNK_METADATA: json.dumps(chunk)}
 
-    def _make_batch(self, program: int, draws: range, *, blank: bool = False) -> Batch:
-        duplicates = self._duplicates[program]
-        variants = slice(None) if duplicates is None else duplicates.computed
-        return self.scenario.batch(program, draws, variants=variants, blank=blank)
-
     def compile_ahead(
         self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]
     ) -> Iterator[Task]:
@@ -285,7 +255,7 @@ class TaskRunner:
         programs, compiled, begun = list(by_program), count(1), set[int]()
         on_compiled(0, len(programs))
 
-        def tell(one: Future) -> None:
+        def report(one: Future) -> None:
             if not one.cancelled():
                 on_compiled(next(compiled), len(programs))
 
@@ -294,7 +264,7 @@ class TaskRunner:
                 if ahead not in begun:
                     begun.add(ahead)
                     draws = range(*by_program[ahead][0].draws)
-                    self._compiling(ahead, draws).add_done_callback(tell)
+                    self._compiling(ahead, draws).add_done_callback(report)
             yield from by_program[program]
 
     def close(self) -> None:
@@ -305,29 +275,36 @@ class TaskRunner:
         return self._compilers.submit(self._compile, program, draws)
 
     def _compile(self, program: int, draws: range) -> None:
-        """Compile a program, of blank arguments if that is enough."""
-        stored = self.scenario.stored is not None
-        make = self._cached_batch if stored else self._cached_blank_batch
-        Chunks(make(program, draws), tiles_per_chunk=self._tiles_per_chunk).compile()
+        batch = self._blank_batch(program, draws)
+        Chunks(batch, tiles_per_chunk=self._tiles_per_chunk).compile()
 
     def _make_chunks(self, program: int, draws: range) -> Chunks:
         compiling = self._compiling(program, draws)
-        batch = self._cached_batch(program, draws)  # meanwhile, on another core
+        batch = self._make_batch(program, draws)  # meanwhile, on another core
         compiling.result()
         return Chunks(batch, tiles_per_chunk=self._tiles_per_chunk)
+
+    def _make_batch(self, program: int, draws: range, *, blank: bool = False) -> Batch:
+        duplicates = self._duplicates[program]
+        variants = slice(None) if duplicates is None else duplicates.computed
+        return self.scenario.batch(program, draws, variants=variants, blank=blank)
+
+    def _blank_batch(self, program: int, draws: range) -> Batch:
+        """Return a batch to compile for: of a simulation one without its truth."""
+        return self._make_batch(program, draws, blank=self.scenario.stored is None)
 
 
 class Executor(NamedTuple):
     """Function that runs tasks, and facts about its machines.
 
     Attributes:
-        run_tasks: yields results in any order, as Parquet files for a directory. It takes the next
-            task from the iterable only when it has room for it, so the caller can stop early.
+        run_tasks: yields results in any order. It takes the next task from the iterable only when
+            it has room for it, so the caller can stop early.
         facts: manifest entries about the machines of this session.
         local: whether this process runs the tasks, and so compiles their programs.
     """
 
-    run_tasks: Callable[[TaskRunner, Iterable[Task]], Iterator[Any]]
+    run_tasks: Callable[[TaskRunner, Iterable[Task]], Iterator[TaskResult]]
     facts: dict[str, Any]
     local: bool = False
 
@@ -339,16 +316,7 @@ def local_executor() -> Executor:
         "threads over one program" if len(target_devices()) == 1 else "devices with a program each"
     )
     return Executor(
-        lambda runner, tasks: map_in_threads(runner.compute_files, tasks, devices),
+        lambda runner, tasks: map_in_threads(runner.compute, tasks, devices),
         {"devices": devices, "devices_are": description},
-        local=True,
-    )
-
-
-def memory_executor() -> Executor:
-    """Return an executor on all devices of this process whose results are tables."""
-    return Executor(
-        lambda runner, tasks: map_in_threads(runner.compute_tables, tasks, len(jax.devices())),
-        {},
         local=True,
     )

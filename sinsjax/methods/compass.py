@@ -417,4 +417,5 @@ COMPASS = Method(
     rules=(check_sigma_factors,),
     turning="none",
     step_s=5e-9,
+    compile_s=3.0,
 )

@@ -136,6 +136,7 @@ OPTIMISATION = _method(
     source="Wu et al. (2011), Wu and Pan (2013)",
     build=partial(build, VELOCITY_FIT),
     step_s=3e-9,
+    compile_s=3.0,
 )
 
 OPTIMISATION_POSITION = _method(
@@ -144,6 +145,7 @@ OPTIMISATION_POSITION = _method(
     source="`methods.least_squares`",
     build=partial(build, POSITION_FIT),
     step_s=4e-9,
+    compile_s=3.0,
 )
 
 INERTIAL = _method(
@@ -152,4 +154,5 @@ INERTIAL = _method(
     source="weighted TRIAD, see `methods.inertial_frame`",
     build=partial(build, _FORCE_FIT),
     step_s=5e-9,
+    compile_s=3.0,
 )

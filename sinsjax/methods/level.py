@@ -112,4 +112,5 @@ LEVEL = method.Method(
     needs_start=False,
     finds_heading=False,
     step_s=3e-9,
+    compile_s=2.5,
 )

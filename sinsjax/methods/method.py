@@ -362,6 +362,7 @@ class Method:
         turning: the turns of a base over which its heading averages constant gyro biases: "any", if
             a single turn is enough, "many", as of a carousel, or "none"; None if that is unknown.
         step_s: time of a sample of one run on one core, s, roughly; see `docs/performance.md`.
+        compile_s: time to compile its program on one core, s, roughly.
         is_external: whether it is a program outside sinsjax, whose runs cannot be repeated here.
     """
 
@@ -381,6 +382,7 @@ class Method:
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()
     turning: Literal["any", "many", "none"] | None = None
     step_s: float = 20e-9
+    compile_s: float = 4.5
     is_external: bool = False
 
     @cached_property

@@ -139,4 +139,5 @@ SURGE = sincos.describe(
     rules=(check_no_trigger, check_trigger, check_resets),
     turning="many",
     step_s=25e-9,
+    compile_s=9.0,
 )

@@ -117,6 +117,7 @@ KALMAN5 = filter_method(
 
 KALMAN10 = filter_method(
     name="kalman10",
+    compile_s=7.0,
     summary="the same with states of gyro and level accelerometer biases",
     source="[P1] eq. (1), biases as states",
     build=partial(build_filter, True),

@@ -172,7 +172,9 @@ class _Descents:
             NAME,
             self._points(values),
             lambda derived: objective.run_values(
-                self._tune, derived, run.run(derived, self._stored, curves=False).summary
+                self._tune,
+                derived,
+                run.run(derived, self._stored, curves=False, progress=False).summary,
             ),
         )
         self._cost += search.total_steps(scored.derived)

@@ -18,7 +18,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import checks, forecast
 from sinsjax.execution import directory as places
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import JobKind, RunOptions, prepare_job
+from sinsjax.execution.prepare import RunOptions, add_record, finish_job, load_job
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
@@ -56,14 +56,17 @@ def prepare_tuning(
     Raises:
         InputError: as `from_python.tune`.
     """
-    kind = JobKind(
-        check_directory,
-        forecast.forecast_tuning,
-        _check_same_study,
-        require_tune,
-        checks.require_north,
-    )
-    job = prepare_job(source, overrides, record, reference, options, kind=kind)
+    job = load_job(source, overrides, record, reference, options)
+    require_tune(job.study)
+    if job.directory is not None:
+        check_directory(job.directory, overwrite=job.overwrite, resume=job.resume)
+    job, found = add_record(job, record, reference)
+    if found is not None:
+        study, doubts = checks.require_north(job.study, found)
+        job = job._replace(study=study, warnings=(*found.warnings, *doubts))
+    if job.directory is not None and job.resume:
+        _check_same_study(job)
+    job = finish_job(job, forecast.forecast_tuning(job.study))
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
@@ -185,12 +188,12 @@ def _refuse_gone_searches(directory: Path, study: Study, known: list[SearchResul
         )
 
 
-def _check_same_study(job: Job) -> Job:
+def _check_same_study(job: Job) -> None:
     """Reject resuming the tuning run of another study."""
     assert job.directory is not None
     stored = load_stored_study(job.directory)
     if stored is None:
-        return job
+        return
     old, new = (require_tune(study).model_dump() for study in (stored, job.study))
     differ = [f"[tune] {key}" for key in old if old[key] != new[key]]
     if fingerprint(stored) != fingerprint(job.study):
@@ -198,7 +201,6 @@ def _check_same_study(job: Job) -> Job:
     if differ:
         text = "; ".join(differ)
         raise InputError(f"{job.directory}: holds a tuning run of another study: {text}")
-    return job
 
 
 def _run_search(

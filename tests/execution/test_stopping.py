@@ -151,9 +151,7 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
     assert not any(stopping.analyse_interim(study, whole.summary, n).is_sufficient for n in before)
-    backwards = Executor(
-        lambda shop, tasks: map_in_threads(shop.compute_files, list(tasks)[::-1], 2), {}
-    )
+    backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     interrupted(study, tmp_path / "out")
     assert read_parts(tmp_path / "out") == read_parts(tmp_path / "back")
@@ -176,7 +174,7 @@ def interrupted(study: Study, out: Path) -> None:
                 chunk_runs=128,
                 resume=True,
                 stop=StopOnce(),
-                executor=Executor(lambda shop, tasks: map(shop.compute_files, tasks), {}),
+                executor=Executor(lambda shop, tasks: map(shop.compute, tasks), {}),
             )
             return
         except StudyInterrupted:

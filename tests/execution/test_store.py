@@ -658,7 +658,7 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
 
 def test_failed_chunk_releases_directory_for_resume(uninterrupted: Path, tmp_path: Path) -> None:
     def do(runner: TaskRunner, tasks: Any) -> Any:
-        yield runner.compute_files(next(iter(tasks)))
+        yield runner.compute(next(iter(tasks)))
         raise MemoryError
 
     with pytest.raises(MemoryError):

@@ -18,11 +18,10 @@ from support.sweep_directories import STUDIES, make_study, read_parts
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine.batch import LANES, map_in_threads
-from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
-from sinsjax.execution.outputs import RunOutput
 from sinsjax.execution.results import read_curves, read_summary
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
@@ -65,11 +64,11 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
     study, chunk_runs = make_study(name), 128
     study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
 
-    def elsewhere(_: TaskRunner, tasks: Any) -> Any:
+    def elsewhere(runner: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
         random.Random(3).shuffle(todo)
         for task in todo:
-            yield TaskRunner(Job(study, None, None, chunk_runs)).compute_files(task)
+            yield TaskRunner(runner.job).compute(task)
 
     executor = Executor(elsewhere, {})
     study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
@@ -168,10 +167,10 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(TaskRunner, "_make_chunks", slow)
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     rows = {"summary": pa.table({"status": ["ok"]})}
-    monkeypatch.setattr(runner._output, "make_tables", lambda chunk, variant_ids: rows)
+    monkeypatch.setattr(TableBuilder, "make_tables", lambda builder, chunk, variant_ids: rows)
     (tasks,) = runner.plan_tasks()
     assert len(tasks) > 4
-    threads = [threading.Thread(target=runner.compute_tables, args=(task,)) for task in tasks]
+    threads = [threading.Thread(target=runner.compute, args=(task,)) for task in tasks]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -179,10 +178,12 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
     assert sorted(made) == [0, 1]
 
 
-def test_failures_count_diverged_and_nonfinite_runs() -> None:
+def test_failures_count_diverged_and_nonfinite_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
-    summary = pa.table({"status": status})
-    assert RunOutput(Scenario(small_study())).count_failures({"summary": summary}) == 3
+    rows = {"summary": pa.table({"status": status})}
+    monkeypatch.setattr(TableBuilder, "make_tables", lambda builder, chunk, variant_ids: rows)
+    runner = TaskRunner(Job(small_study()))
+    assert runner.compute(runner.plan_tasks()[0][0]).failures == 3
 
 
 def test_record_for_simulated_study_is_refused() -> None:
@@ -205,7 +206,7 @@ def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     (tasks,) = runner.plan_tasks()
     ahead = runner.compile_ahead(tasks, lambda *counts: told.append(counts))
-    found = list(map_in_threads(runner.compute_tables, ahead, len(tasks)))
+    found = list(map_in_threads(runner.compute, ahead, len(tasks)))
     runner.close()
     assert [result.task for result in found] == tasks
     assert told == [(0, 2), (1, 2), (2, 2)]

@@ -8,7 +8,7 @@ from typing import Any
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
-from sinsjax.execution.tasks import EncodedResult, Executor, Task, TaskRunner
+from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 from support.studies import BASE, small_study
@@ -146,7 +146,7 @@ class TaskRecorder:
     def executor(self) -> Executor:
         return Executor(self._run_tasks, {})
 
-    def _run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[EncodedResult]:
-        for encoded in map_in_threads(runner.compute_files, tasks, 2):
+    def _run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[TaskResult]:
+        for encoded in map_in_threads(runner.compute, tasks, 2):
             self.done.append(encoded.task.name)
             yield encoded

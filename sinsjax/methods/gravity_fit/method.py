@@ -341,4 +341,5 @@ GRAVITY_FIT = method.Method(
     rules=(_check,),
     columns=COLUMNS,
     step_s=10e-9,
+    compile_s=8.5,
 )
