@@ -76,7 +76,7 @@ def prepare_job(
     job = load_job(source, overrides, record, reference, options)
     if job.directory is not None:
         resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
-    job = _choose_curves(job, options.max_curve_runs)
+    job = _choose_curves(job, _name_of(source), options.max_curve_runs)
     job, found = add_record(job, record, reference)
     if found is not None:
         study, doubts = checks.level_only(job.study, found)
@@ -103,12 +103,11 @@ def load_job(
     """
     runtime.ensure_configured()
     path = None if options.directory is None else directory.results_path(options.directory)
-    notes: list[str] = []
+    name, notes = _name_of(source), list[str]()
     if isinstance(source, Study):
-        study, name = source.replace(overrides) if overrides else source, source.name
+        study = source.replace(overrides) if overrides else source
     else:
         study, notes = load_with_notes(source, overrides or {})
-        name = source_name(source)
     checks.refuse_external(study.study.external, name)
     given = reference if record is None else record
     if given is not None and not study.is_recorded:
@@ -169,7 +168,11 @@ def finish_job(job: Job, expected_cost: Forecast) -> Job:
     return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected_cost)
 
 
-def _choose_curves(job: Job, max_runs: int | None) -> Job:
+def _name_of(source: Path | str | Study) -> str:
+    return source.name if isinstance(source, Study) else source_name(source)
+
+
+def _choose_curves(job: Job, name: str, max_runs: int | None) -> Job:
     """Return a job that keeps all curves if its runs are few enough."""
     study, runs = job.study, job.study.n_draws * job.study.n_variants
     if max_runs is None:
@@ -180,7 +183,7 @@ def _choose_curves(job: Job, max_runs: int | None) -> Job:
         note = f"{runs} runs: curves are kept only if [study] curves = true."
         return job._replace(curves=None, notes=(*job.notes, note))
     raise InputError(
-        f"{study.name}: {runs} runs are too many to keep every curve (at most {max_runs}; use"
+        f"{name}: {runs} runs are too many to keep every curve (at most {max_runs}; use"
         " `sinsjax sweep`)"
     )
 
