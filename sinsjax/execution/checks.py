@@ -58,7 +58,7 @@ def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
-    lines += [*useless_methods(study), *_band_warnings(study)]
+    lines += [*useless_methods(study), *band_warnings(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 
@@ -311,7 +311,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     return merged
 
 
-def _band_warnings(study: Study) -> Iterator[str]:
+def band_warnings(study: Study) -> Iterator[str]:
     """Warn of a heading band that the sensors' white noise exceeds, 1 sigma, in every variant.
 
     At most two thirds of the runs can end in such a band. The best variant counts, with all data of
