@@ -26,18 +26,17 @@ from sinsjax.arena.readme import RECORDS
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
 from sinsjax.arena.runs import ProgramPart, ProgramRuns
 from sinsjax.arena.suspicions import suspect
-from sinsjax.columns import FAILED
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Outcome
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import resume
+from sinsjax.execution.results import Results
 from sinsjax.execution.run import ProgressCallback, run
 from sinsjax.execution.schemas import summary_columns, variant_columns
-from sinsjax.execution.source import Source
-from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.store import write_table
 from sinsjax.execution.tables import TableBuilder, make_table, replace_column
-from sinsjax.execution.tasks import Job, Task, TaskResult, TaskRunner
+from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
@@ -163,7 +162,16 @@ def score_results(
     doubts = _describe_doubts(name, asked, given, missing)
     doubts += _doubt_sigmas(table, name, given.sigma_unit)
     doubts += [*_doubt_floor(with_program, table, name), *([reading] if reading else [])]
-    _write(with_program, table, draws, target, manifest["digest"], doubts, str(results), overwrite)
+    job = Job(
+        with_program,
+        curves=False,
+        directory=target,
+        overwrite=overwrite,
+        manifest_state=resume.manifest_state(target),
+        source=f"{with_program.name} with {Path(results).name}",
+        warnings=tuple(doubts),
+    )
+    write_table(job, table, draws, **{_DIGEST: manifest["digest"]})
     return Score(target, with_program, comparison, asked.run_id[missing].tolist(), doubts)
 
 
@@ -196,13 +204,13 @@ def _check_target(
         raise InputError(f"{target}: already contains results (--overwrite replaces them)")
 
 
-def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Source:
+def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Results:
     """Return the results of a sweep of the exported study, or of it with other programs.
 
     Raises:
         InputError: they are of another study, or lack draws.
     """
-    source = Source.read(against)
+    source = Results.read(against)
     is_same = results_directory.read_manifest(against).get(_DIGEST) == manifest["digest"]
     same_draws = with_draws(_without_stopping(source.study), study.n_draws)
     if not is_same and fingerprint(same_draws) != fingerprint(_without_stopping(study)):
@@ -243,7 +251,7 @@ def _asked_runs(exported: ProgramRuns, draws: range, manifest: dict[str, Any]) -
     )
 
 
-def _own_rows(study: Study, stored: Source | None, on_progress: ProgressCallback | None) -> Rows:
+def _own_rows(study: Study, stored: Results | None, on_progress: ProgressCallback | None) -> Rows:
     """Return the summary of a study's own methods, read or run here."""
     if stored is not None:
         return Rows(stored.study, stored.summary)
@@ -486,43 +494,3 @@ def _doubt_floor(study: Study, table: pa.Table, name: str) -> list[str]:
         f"{name}: {format_count(better, 'run')} nearer to north than the bias floor, from which"
         " this study judges: no success there (--set study.judged_from='truth' for the export)"
     ]
-
-
-def _write(
-    study: Study,
-    table: pa.Table,
-    draws: range,
-    target: Path,
-    digest: str,
-    doubts: list[str],
-    source: str,
-    overwrite: bool,
-) -> None:
-    """Write the rows of all methods as a results directory."""
-    job = Job(
-        study,
-        directory=target,
-        overwrite=overwrite,
-        manifest_state=resume.manifest_state(target),
-        source=f"{study.name} with {Path(source).name}",
-        warnings=tuple(doubts),
-    )
-    runner = TaskRunner(job)
-    task = Task(
-        "part-0000-000000",
-        0,
-        (draws.start, draws.stop),
-        0,
-        len(table),
-        (("summary", len(table)),),
-    )
-    failed = sum(int(pc.sum(pc.equal(table["status"], kind)).as_py() or 0) for kind in FAILED)
-    store = DirectoryStore(runner, runtime.describe_environment())
-    try:
-        store.missing_tasks([task])
-        content = runner.to_parquet("summary", table, task)
-        store.add_result(TaskResult(task, {"summary": content}, failed, 0.0))
-        whole = draws == range(study.n_draws)
-        store.finish("complete" if whole else "interrupted", **{_DIGEST: digest})
-    finally:
-        store.unlock()
