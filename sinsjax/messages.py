@@ -14,6 +14,7 @@ _IN_PLAIN_WORDS = {
     "bool_type": "must be true or false",
     "string_type": "must be text",
     "tuple_type": "must be a list",
+    "model_type": "must be a table",
     "finite_number": "must be finite",
     "string_too_short": "must not be empty",
     "too_short": "must not be empty",

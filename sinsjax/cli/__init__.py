@@ -305,7 +305,7 @@ def gains(
         float, typer.Option(help="Damping ratio of both, above 0, below 1.", metavar="X")
     ] = 0.5**0.5,
     gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.", metavar="X")] = 9.8,
-    radius: Annotated[float, typer.Option(help="Earth radius, m.", metavar="X")] = 6378165.0,
+    radius: Annotated[float, typer.Option(help="Earth radius, m.", metavar="X")] = 6378137.0,
 ) -> None:
     """Design the compass loops: gains from decay rates, the resulting roots and settling times.
 

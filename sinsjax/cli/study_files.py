@@ -81,7 +81,7 @@ def init(
         raise InputError("--set: requires `init record --from LOG` (or edit the study)")
     path = out or Path(f"{(from_ or Path(name)).stem}.toml")
     if from_ is None:
-        text = files.shipped_text(name)
+        text = files.shipped_text(name, path)
     else:
         from sinsjax.study.from_record import make_study_text
 

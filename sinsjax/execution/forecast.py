@@ -201,7 +201,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     memory += _VARIANT_BYTES * variants + _RUN_BYTES * runs
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
-    if alternates and study.requires_sequential:
+    if alternates and study.sequential_keys:
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _KEPT_BYTES * read_samples * draws

@@ -128,7 +128,7 @@ def _write_rerun(target: Path, run: Rerun, study: Study) -> None:
         with atomic_write(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
     with atomic_write(target / "curve.png") as file:
-        title = f"{study.name}, run {run.row['run_id'][0]}"
+        title = f"{study.name}, run {run.row['run_id'][0].as_py()}"
         file.write(plots.render_png(plots.plot_curves(run.curve, run.row, title=title)))
 
 

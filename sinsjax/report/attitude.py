@@ -14,7 +14,7 @@ from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
 from sinsjax.records.layout import parse_axes_order
-from sinsjax.records.means import EARTH_RATE
+from sinsjax.records.motion import EARTH_RATE
 from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table
 from sinsjax.report.verdict import (
     SweepOutcome,

@@ -7,33 +7,30 @@ drawn key.
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.files import TOO_DEEP
+from sinsjax.study.files import TOO_DEEP, check_nesting
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
+_WORD = re.compile(r"[+-]?[A-Za-z_][\w+-]*")  # also an order of axes, as -y-xz
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 class SetOptions(dict[str, Any]):
-    """The values of ``--set`` by place, whose user is told what else they drop."""
+    """The values of ``--set`` by place, whose user is told what else they drop.
+
+    Attributes:
+        told: lines that the user has read.
+    """
 
     def __init__(self) -> None:
         """Begin without changes."""
         super().__init__()
-        self._told = set[str]()
-
-    def tell(self, line: str) -> None:
-        """Print a line on the standard error, once."""
-        if line not in self._told:
-            from sinsjax.console import print_warning
-
-            print_warning(line)
-            self._told.add(line)
+        self.told = set[str]()
 
 
 def parse_changes(texts: Iterable[str]) -> SetOptions:
@@ -51,21 +48,21 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
         try:
             changes[place] = tomllib.loads(f"value = {value}")["value"]
-        except ValueError:
-            if _COMMA.fullmatch(value):
-                hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
-                raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
-            if not value.isidentifier():
-                raise InputError(
-                    f"--set {text}: {value} is not a TOML value (quote text)"
-                ) from None
-            changes[place] = value
         except RecursionError:
             raise InputError(f"--set {place}: {TOO_DEEP}") from None
+        except ValueError:
+            if not _WORD.fullmatch(value):
+                is_comma = _COMMA.fullmatch(value)
+                points = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
+                hint = points if is_comma else "quote text"
+                raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
+            changes[place] = value
     return changes
 
 
-def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
+def apply_changes(
+    tables: Mapping[str, Any], changes: Mapping[str, Any], source: str = ""
+) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
     The user of `SetOptions` is told the alternatives to a key that it replaces.
@@ -75,91 +72,97 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
             deeper, such as ``tune.variables.p0_yaw_deg.low``; or all cases by ``cases``. An empty
             table drops the section, key, axis or table of that name.
+        source: name of the study in messages.
 
     Raises:
-        InputError: a place does not name a section and a key, there is nothing to drop, or two
-            changes are alternatives.
+        InputError: a place does not name a section and a key, there is nothing to drop, two changes
+            are alternatives, or a value is nested too deeply.
     """
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
-    for place, value in changes.items():
-        section, *path = place.split(".")
-        if value == {}:
-            _delete_place(result, place)
-            continue
-        if place == "cases":
-            result[place] = copy_tables(value)
-            continue
-        if not path or not all(path):
-            owner = SECTION_OF.get(place)
-            hint = f"{owner}.{place}" if owner else _EXAMPLE
-            raise InputError(f"{place}: must name a section and a key ({hint})")
-        if section == "cases":
-            raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
-        table = result.setdefault(section, {})
-        for name in path[:-1]:
-            table = table.setdefault(name, {}) if isinstance(table, dict) else None
-        if not isinstance(table, dict):
-            raise InputError(f"{place}: is below a value, not in a table (name the value itself)")
-        table[path[-1]] = value
-        key = path[0] if section != "axes" else path[-1]
-        if section in _SWEEP_TABLES or (section in SECTIONS and len(path) == 1):
-            for other in alternative_keys(key) & places.keys():
-                raise InputError(f"{place}: conflicts with {places[other]} (give one of them)")
-            places[key] = place
-            kept = table if section == "axes" else result[section]
-            dropped = _remove_key_from_others(result, key, kept)
-            if dropped and isinstance(changes, SetOptions):
-                changes.tell(f"--set {place} replaces {', '.join(dropped)}.")
+    try:
+        for place, value in changes.items():
+            dropped = _change(result, place, value, places)
+            line = f"--set {place} replaces {', '.join(dropped)}."
+            if dropped and isinstance(changes, SetOptions) and line not in changes.told:
+                from sinsjax.console import print_warning
+
+                print_warning(line)
+                changes.told.add(line)
+    except InputError as error:
+        raise (error.with_source(source) if source else error) from None
+    check_nesting(result, source)
     return result
 
 
-def _delete_place(tables: TomlTable, place: str) -> None:
-    """Drop the section, key, axis or table at a place."""
-    *path, name = place.split(".")
+def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
+    """Change a value in tables, and return the alternatives to it that were there."""
+    section, *path = place.split(".")
+    *above, name = place.split(".")
     table: Any = tables
-    for part in path:
-        table = table.get(part) if isinstance(table, dict) else None
-    if not isinstance(table, dict) or name not in table:
-        raise InputError(f"{place}: cannot be dropped, as the study does not have it (omit it)")
-    del table[name]
+    is_drop = value == {}
+    if place == "cases" and not is_drop:
+        tables[place] = copy_tables(value)
+        return []
+    if not is_drop and not (path and all(path)):
+        hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
+        raise InputError(f"{place}: must name a section and a key ({hint})")
+    if not is_drop and section == "cases":
+        raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
+    for part in above:
+        if isinstance(table, dict):
+            table = table.get(part) if is_drop else table.setdefault(part, {})
+    if is_drop:
+        if not isinstance(table, dict) or name not in table:
+            raise InputError(f"{place}: cannot be dropped, as the study does not have it (omit it)")
+        del table[name]
+        return []
+    if not isinstance(table, dict):
+        raise InputError(f"{place}: is below a value, not in a table (name the value itself)")
+    table[name] = value
+    if section not in (*SECTIONS, *_SWEEP_TABLES) or (section in SECTIONS and len(path) > 1):
+        return []
+    key, kept = (name, table) if section == "axes" else (path[0], tables[section])
+    for other in alternative_keys(key) & places.keys():
+        raise InputError(f"{place}: conflicts with {places[other]} (give one of them)")
+    places[key] = place
+    return _drop_elsewhere(tables, key, kept)
 
 
-def copy_tables(value: Any) -> Any:
-    """Return a deep copy of tables and lists, which may be changed."""
+def copy_tables(value: Any, sequence: Callable[[Iterable[Any]], Any] = list) -> Any:
+    """Return a deep copy of tables, with all lists and tuples as one of both."""
     if isinstance(value, Mapping):
-        return {key: copy_tables(entry) for key, entry in value.items()}
-    return [copy_tables(entry) for entry in value] if isinstance(value, list | tuple) else value
+        return {key: copy_tables(entry, sequence) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return sequence(copy_tables(entry, sequence) for entry in value)
+    return value
 
 
-def _remove_key_from_others(tables: TomlTable, key: str, kept_table: TomlTable) -> list[str]:
-    """Remove a key and its alternatives from all tables that give or vary them.
+def _drop_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
+    """Remove a key from all tables but one, and its alternatives from all.
 
-    The table ``kept_table`` retains the key itself, in its position. An empty zip is removed, and
-    so is [drawn] if it does not draw a key any more.
+    An empty zip is removed, and so is [drawn] if it does not draw a key any more.
 
     Returns:
         The alternatives that are gone, each after its table in brackets.
     """
-    axes, cases = (tables.get(name) for name in ("axes", "cases"))
-    axes = axes if isinstance(axes, dict) else {}
-    given = {
-        f"[{name}]": tables.get(name) for name in (*SECTIONS, *_SWEEP_TABLES) if name != "tune"
-    }
-    given |= {f"[axes.{name}]": table for name, table in axes.items()}
-    rows = [("[cases]", row) for row in (cases if isinstance(cases, list) else ())]
+    axes, cases, drawn = (tables.get(name) for name in ("axes", "cases", "drawn"))
+    zips = {name: table for name, table in axes.items()} if isinstance(axes, dict) else {}
+    places = [(f"[{name}]", tables.get(name)) for name in (*SECTIONS, *_SWEEP_TABLES)]
+    places += [(f"[axes.{name}]", table) for name, table in zips.items()]
+    places += [("[cases]", row) for row in (cases if isinstance(cases, list) else ())]
     dropped: dict[str, None] = {}
-    for name, table in (*given.items(), *rows):
-        if not isinstance(table, dict):
+    for place, table in places:
+        if not isinstance(table, dict) or place == "[tune]":
             continue
-        if table is not kept_table:
+        if table is not kept:
             table.pop(key, None)
         for other in sorted(alternative_keys(key) & table.keys()):
             del table[other]
-            dropped[f"{name} {other}"] = None
-    for name in [name for name, table in axes.items() if table == {}]:
-        del axes[name]
-    drawn = tables.get("drawn")
-    if isinstance(drawn, dict) and drawn is not kept_table and drawn.keys() <= {"sampling"}:
+            dropped[f"{place} {other}"] = None
+    for name, table in zips.items():
+        if table == {}:
+            del tables["axes"][name]
+    if isinstance(drawn, dict) and drawn is not kept and drawn.keys() <= {"sampling"}:
         del tables["drawn"]
     return list(dropped)

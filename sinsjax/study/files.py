@@ -118,8 +118,10 @@ def read_purpose(path: Path) -> str:
     return _name_pages(_STUDY.sub(r"\1", sentence))
 
 
-def shipped_text(name: str) -> str:
+def shipped_text(name: str, copy: Path) -> str:
     """Return the text of a template or shipped study, with its comments and a path to the schema.
+
+    Its comments name the copy, and other studies without their folder, which a wheel does not have.
 
     Raises:
         InputError: the name is unknown.
@@ -128,7 +130,9 @@ def shipped_text(name: str) -> str:
     if stem not in known:
         hint = suggest_closest(stem, known)
         raise InputError(f"{name}: no study of this name (`init --list` shows them){hint}")
-    return f"{schema_line()}\n{_name_pages(_read_body(known[stem]))}"
+    text = _read_body(known[stem]).replace(f"{_FOLDER}/{stem}.toml", str(copy))
+    text = _STUDY.sub(r"\1", text)
+    return f"{schema_line()}\n{_name_pages(text)}"
 
 
 def _name_pages(text: str) -> str:

@@ -8,7 +8,7 @@ tables that vary a study. Values stay in the units of the file.
 
 import difflib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from sinsjax.methods.registry import (
     METHODS,
     register_external,
 )
-from sinsjax.study import changes as changing
 from sinsjax.study import files, rules, search_space
-from sinsjax.study.defaults import GivenKeys, filled_in, without_defaults
+from sinsjax.study.changes import apply_changes, copy_tables
+from sinsjax.study.defaults import GivenKeys, filled_in
 from sinsjax.study.keys import (
     SECTION_OF,
     SECTIONS,
@@ -35,7 +35,7 @@ from sinsjax.study.keys import (
     unknown_key_error,
 )
 from sinsjax.study.questions import reject_open_questions
-from sinsjax.study.study import Study
+from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
     correctable_errors,
@@ -106,35 +106,16 @@ def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study
 
 def _load(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[Study, TomlTable]:
     """Read and check a study file; also return its tables."""
-    name = files.source_name(path)
-    data = files.read_tables(path)
+    name, data = files.source_name(path), files.read_tables(path)
     if changes:
-        data = change_tables(data, changes, name)
+        data = apply_changes(data, changes, name)
     try:
-        reject_open_questions(data, path)
-    except InputError as error:
-        raise error.with_source(name) from None
-    try:
-        return study_from_dict(data, name), data
+        return _checked_study(data, name, path), data
     except InputError as error:
         if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
             hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
             raise InputError(*error.lines, f"{name}: has no [alignment] ({hint})") from None
         raise
-
-
-def change_tables(data: TomlTable, changes: Mapping[str, Any], source: str) -> TomlTable:
-    """Return a study's tables with some values changed.
-
-    Raises:
-        InputError: a change does not name a key, or is nested too deeply.
-    """
-    try:
-        changed = changing.apply_changes(data, changes)
-    except InputError as error:
-        raise error.with_source(source) from None
-    files.check_nesting(changed, source)
-    return changed
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -162,8 +143,13 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           method  kalman5
           length  60 s at 100 Hz
     """
+    return _checked_study(data, source)
+
+
+def _checked_study(data: TomlTable, source: str, path: str | Path | None = None) -> Study:
+    """Return the study of some tables, whose file has the evidence of open questions."""
     try:
-        reject_open_questions(data)
+        reject_open_questions(data, path)
         _check_methods_usable(data)
         study = _read_study(data, escape_controls(Path(source).stem))
         if study.tune and study.study.rate_hz:
@@ -173,27 +159,6 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
         raise error.with_source(source) from None
     except RecursionError:
         raise InputError(f"{source}: {files.TOO_DEEP}") from None
-
-
-def study_to_tables(study: Study) -> TomlTable:
-    """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`."""
-    content = study.model_dump(exclude_none=True)
-    for key in study.drawn_keys:
-        content[SECTION_OF[key]].pop(key, None)
-    content["axes"] |= content.pop("zips")
-    content["cases"] = [
-        {key: value for key, value in case.items() if value is not None} for case in study.cases
-    ]
-    names = (*SECTIONS, *_SWEEP_TABLES)
-    return {name: content[name] for name in names if content.get(name)}
-
-
-def non_default_tables(study: Study) -> TomlTable:
-    """Return a study as tables and lists, without the keys that have their defaults."""
-    swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
-    varied = dict.fromkeys(study.drawn_keys, ()) | swept
-    tables = changing.copy_tables(without_defaults(study_to_tables(study), varied))
-    return {name: table for name, table in tables.items() if table}
 
 
 def study_to_toml(study: Study) -> str:
@@ -216,12 +181,6 @@ def with_point(study: Study, point: TomlTable) -> Study:
     return study_from_dict(search_space.insert_point(study_to_tables(study), point), study.name)
 
 
-def replace_values(study: Study, changes: Mapping[str, Any]) -> Study:
-    """Return a study with some values changed: the body of `Study.replace`."""
-    tables = change_tables(non_default_tables(study), changes, study.name)
-    return study_from_dict(tables, study.name)
-
-
 def with_rate(study: Study, rate_hz: float) -> Study:
     """Return a recorded study with the rate of its record, unless it gives a rate itself.
 
@@ -235,19 +194,19 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study_from_dict(tables | {"study": settings}, study.name)
 
 
-Study.rebuild, Study.tables = staticmethod(replace_values), staticmethod(non_default_tables)
+Study.from_tables = staticmethod(study_from_dict)
 
 
 def _read_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables: names, sweep, defaults, values, rules."""
-    tables = without_gone_settings(_lists_to_tuples(data))
+    tables = without_gone_settings(copy_tables(data, tuple))
     _check_tables(tables)
     _register_external(tables)
-    errors, sweep = ErrorCollector(), Sweep()
+    errors, sweep, inherited = ErrorCollector(), Sweep(), frozenset[str]()
     with errors.collect():
-        sweep = read_sweep(tables)
+        sweep, inherited = read_sweep(tables)
     given = {  # the cases have the others
-        section: {key: value for key, value in table.items() if key not in sweep.inherited}
+        section: {key: value for key, value in table.items() if key not in inherited}
         for section, table in tables.items()
         if section in SECTIONS
     }
@@ -256,7 +215,7 @@ def _read_study(data: TomlTable, name: str) -> Study:
             {key: f"[{section}]" for section, keys in given.items() for key in keys}
             | sweep.table_of
         )
-    defaults = filled_in(GivenKeys(given, sweep.values))
+    defaults = filled_in(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:
@@ -264,8 +223,11 @@ def _read_study(data: TomlTable, name: str) -> Study:
         sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
         with errors.collect():
             sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
-    with errors.collect():
-        study = _validate_sections(sections | sweep.for_study)
+    try:
+        study = Study.model_validate(sections | dict(sweep))
+    except ValidationError as error:
+        for detail in correctable_errors(error):
+            errors.add(_format_error(detail))
     errors.raise_all()
     for section, values in defaults.items():  # which the file does not give
         getattr(study, section).model_fields_set.difference_update(values)
@@ -315,19 +277,12 @@ def _check_methods_usable(data: Any, key: str = "") -> None:
         raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
 
 
-def _lists_to_tuples(value: Any) -> Any:
-    """Replace lists by tuples, since a study is immutable."""
-    if isinstance(value, Mapping):
-        return {key: _lists_to_tuples(entry) for key, entry in value.items()}
-    return tuple(map(_lists_to_tuples, value)) if isinstance(value, list | tuple) else value
-
-
 def _check_tables(data: TomlTable) -> None:
     """Refuse unknown sections and keys, and those that a recorded study cannot have."""
     errors = ErrorCollector()
     for name, table in data.items():
-        with errors.collect():
-            _check_table(name, table)
+        for line in _errors_of_table(name, table):
+            errors.add(line)
     for name in SIMULATED_ONLY:
         if name in data and "record" in data:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
@@ -338,28 +293,23 @@ def _check_tables(data: TomlTable) -> None:
     errors.raise_all()
 
 
-def _check_table(name: str, table: Any) -> None:
-    """Refuse an unknown table, and unknown keys in a table."""
+def _errors_of_table(name: str, table: Any) -> Iterator[str]:
+    """Yield the errors of an unknown table, or of the unknown keys in a table."""
     names = (*SECTIONS, *_SWEEP_TABLES)
     if name in SECTION_OF and name not in SECTIONS:
-        raise InputError(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
-    if name == "advise":
-        raise InputError("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
-    if name not in names:
+        yield f"{name}: a key of [{SECTION_OF[name]}] (move it there)"
+    elif name == "advise":
+        yield "[advise]: is read by `sinsjax advise` alone (drop it from a study)"
+    elif name not in names:
         hint = suggest_closest(name, names, "[{}]")
-        hint = hint or " (is it of a method whose package is not installed?)"
-        raise InputError(f"[{name}]: unknown section{hint}")
-    if name == "cases":
-        return
-    if not isinstance(table, Mapping):
-        raise InputError(f"[{name}]: must be a table of keys")
-    errors = ErrorCollector()
-    for key, value in table.items():
+        yield f"[{name}]: unknown section{hint or ' (is its method not installed?)'}"
+    elif not isinstance(table, Mapping) and name != "cases":
+        yield f"[{name}]: must be a table of keys"
+    for key, value in table.items() if name in names and isinstance(table, Mapping) else ():
         if name in SECTIONS and key not in SECTIONS[name].model_fields:
-            errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
+            yield f"[{name}] {key}: {_unknown_key_text(key, name)}"
         elif value is None:
-            errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
-    errors.raise_all()
+            yield f"[{name}] {key}: None is not a value (leave the key out)"
 
 
 def _unknown_key_text(key: str, section: str) -> str:
@@ -384,13 +334,6 @@ def _check_alternatives(table_of: Mapping[str, str]) -> None:
         errors.add(f"{table_of[first]} {first}: {text}")
         reported |= {first, second}
     errors.raise_all()
-
-
-def _validate_sections(sections: TomlTable) -> Study:
-    try:
-        return Study.model_validate(sections)
-    except ValidationError as error:
-        raise InputError(*map(_format_error, correctable_errors(error))) from None
 
 
 def _format_error(error: ErrorDetails) -> str:

@@ -9,7 +9,6 @@ outside is most likely a mistake or in another unit. ``[study] unchecked = true`
 """
 
 import math
-import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -30,9 +29,9 @@ from sinsjax.study.keys import (
     PASS_KEYS,
     SECTION_OF,
     SECTIONS,
-    Key,
     has_effect,
     key_summary,
+    leaf_info,
 )
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
 from sinsjax.study.schema import EARTH_CONSTANTS, NUMBERS_DRAWN, Distribution
@@ -40,11 +39,11 @@ from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turn_keys, check_turns
 from sinsjax.study.variants import Variants
-from sinsjax.value_types import ROUNDING, KeyCondition
+from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _DRAWS_PER_BLOCK = 2**19  # draws that are checked together, which bounds the memory
-_MAX_CHECKED_DRAWS = 2**22  # about one second; of more, only the limits of the law are checked
+_MAX_CHECKED_DRAWS = 2**22  # about one second
 _MAX_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
 _MAX_DEPTH = 0.99  # of the radius, since the polar radius of an ellipsoid is smaller
 
@@ -118,14 +117,14 @@ def _check_study_size(study: Study) -> None:
 def _check_intervals(study: Study) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
     rate, record = study.rate_hz, study.study.record_interval_s
-    _check_whole_samples(study, "record_interval_s", record)
+    _check_multiple(study, "record_interval_s", record, "samples")
     for key, least in (("feedback_interval_s", 1), ("coarse_duration_s", 2)):
         for point in study.combinations(key) if study.is_readable(key) else ():
             if point[key] is not None:
-                _check_whole_samples(study, key, point[key], least)
+                _check_multiple(study, key, point[key], "samples", least)
     start_by_sample: dict[int, float] = {}
     for start in study.record.start_s if study.record else ():
-        _check_whole_samples(study, "start_s", start, 0)
+        _check_multiple(study, "start_s", start, "samples", 0)
         if start_by_sample.setdefault(round(start * rate), start) != start:
             study.refuse("start_s", f"{start!r} s is the sample of another start time (drop one)")
     if study.study.duration_s < record * (1 - ROUNDING):
@@ -143,7 +142,7 @@ def _check_passes(study: Study) -> None:
             if (passes or 1) > 1:
                 study.refuse("passes", f"{passes} passes need a stored record (give stored_s)")
             continue
-        _check_record_multiple(study, "stored_s", record_s)
+        _check_multiple(study, "stored_s", record_s, "record intervals")
         if record_s > duration:
             study.refuse("stored_s", f"{record_s:.12g} s is longer than a run ({study.end})")
         if passes and passes * record_s > duration:
@@ -186,7 +185,7 @@ def _check_coarse_times(study: Study) -> None:
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if not study.has_coarse_stage(method, then):
             continue
-        _check_record_multiple(study, "coarse_duration_s", length_s)
+        _check_multiple(study, "coarse_duration_s", length_s, "record intervals")
         end_s = min(study.run_s - record_interval_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
@@ -205,34 +204,21 @@ def _check_coarse_times(study: Study) -> None:
             study.refuse("reset_at_feedback", f"{text} (feedback_interval_s = {interval_s:.12g})")
 
 
-def _nearest_multiples(count: float, step: float, least: int) -> str:
-    """Return the whole numbers nearest to a count, times a step, in words."""
-    numbers = {max(least, math.floor(count)), max(least, math.ceil(count))}
-    return " or ".join(f"{number * step:.12g}" for number in sorted(numbers))
-
-
-def _check_record_multiple(study: Study, key: str, time: float) -> None:
-    """Refuse a time that is not a whole number of record intervals."""
-    record = study.study.record_interval_s
-    count = time / record
-    if abs(count - round(count)) > ROUNDING * count or round(count) < 1:
-        text = f"{time:.12g} s is not a whole number of record intervals of {record:.12g} s"
-        study.refuse(key, f"{text} (nearest: {_nearest_multiples(count, record, 1)})")
-
-
-def _check_whole_samples(study: Study, key: str, time: float, least: int = 1) -> None:
-    """Refuse a time that is not a whole number of samples, or less than ``least`` of them.
+def _check_multiple(study: Study, key: str, time: float, what: str, least: int = 1) -> None:
+    """Refuse a time that is not a whole number of samples or record intervals, or too few of them.
 
     For a record, whose rate is given, the time is rounded to a whole number of samples.
     """
-    rate, samples = study.rate_hz, time * study.rate_hz
-    deviation = 0.0 if study.is_recorded else abs(samples - round(samples))
-    if deviation > ROUNDING * samples or round(samples) < least:
-        at_least = f", {least} or more" if least > 1 else ""
-        text = f"{time:.12g} s is not a whole number of samples of {1 / rate:.12g} s{at_least}"
-        hint = f"nearest: {_nearest_multiples(samples, 1 / rate, least)}"
-        if study.is_recorded and rate < 1:
-            hint = f"{rate:.6g} Hz: is time_unit right?"
+    step = study.study.record_interval_s if what == "record intervals" else 1 / study.rate_hz
+    count, is_rounded = time / step, study.is_recorded and what == "samples"
+    deviation = 0.0 if is_rounded else abs(count - round(count))
+    if deviation > ROUNDING * count or round(count) < least:
+        nearest = sorted({max(least, math.floor(count)), max(least, math.ceil(count))})
+        hint = f"nearest: {' or '.join(f'{number * step:.12g}' for number in nearest)}"
+        if is_rounded and study.rate_hz < 1:
+            hint = f"{study.rate_hz:.6g} Hz: is time_unit right?"
+        text = f"{time:.12g} s is not a whole number of {what} of {step:.12g} s"
+        text += f", {least} or more" if least > 1 else ""
         study.refuse(key, f"{text} ({hint})")
 
 
@@ -260,7 +246,7 @@ def _check_report_times(study: Study) -> None:
         coarse = study.combinations(*COARSE_KEYS)
         counts_before = {study.samples_before(rate, **point) for point in coarse}
     for time in study.report_times_s:
-        _check_record_multiple(study, key, time)
+        _check_multiple(study, key, time, "record intervals")
         if time > (min(counts_before) / rate + study.run_s) * (1 + ROUNDING):
             study.refuse(key, f"{time:.12g} s is not within the run ({study.end})")
         for samples_before in sorted(counts_before, reverse=True):
@@ -358,25 +344,18 @@ def _check_plausible_values(study: Study) -> None:
     errors = ErrorCollector()
     for (name, key), entry in KEYS.items():
         value = getattr(getattr(study, name, None), key, None) if entry.info.usual_range else None
-        if value is not None and (text := _describe_implausible(entry, value)):
+        if value is not None and (text := _describe_unusual(entry.info, value)):
             errors.add(f"[{name}] {key}{text}")
-    for dimension in study.dimensions:
-        for key, values in dimension.items():
-            for value in dict.fromkeys(values) if key != "case" else ():
-                if text := _describe_implausible(KEYS[SECTION_OF[key], key], value):
-                    errors.add(f"{study.given_in(key)} {key}[{values.index(value)}]{text}")
+    for key, values in study.values_varied.items():
+        for value in dict.fromkeys(values) if key != "case" else ():
+            if text := _describe_unusual(leaf_info(key), value):
+                errors.add(f"{study.given_in(key)} {key}[{values.index(value)}]{text}")
     errors.raise_all()
 
 
-def describe_implausible(key: str, value: Any) -> str | None:
-    """Return the question about an unusual value of a leaf key; None for a usual value."""
-    text = _describe_implausible(KEYS[SECTION_OF[key], key], value)
-    return text and text.removeprefix(": ")
-
-
-def _describe_implausible(key: Key, value: Any) -> str | None:
+def _describe_unusual(info: KeyInfo, value: Any) -> str | None:
     """Return the index of an unusual number in a value, if a list, and the question about it."""
-    low, high = key.info.usual_range or (-math.inf, math.inf)
+    low, high = info.usual_range or (-math.inf, math.inf)
     for index, number in _iter_numbers(value):
         if not low <= number <= high:
             text = f"{number:.12g} is outside the usual range of {low:g} to {high:g}"
@@ -416,31 +395,25 @@ def _check_earth_centre(study: Study) -> None:
 
 
 def _check_drawn_values(study: Study) -> None:
-    """Refuse drawn values that their key does not accept.
+    """Refuse drawn values that their key does not accept, of the first `_MAX_CHECKED_DRAWS`.
 
-    Draws are checked one by one if their law does not exclude such values, unless there are too
-    many of them.
+    Draws are checked one by one if their law does not exclude such values.
     """
-    laws, unchecked = study.drawn.laws if study.drawn else {}, bool(study.study.unchecked)
 
-    def errors(key: str, sigmas: float = _MAX_SIGMAS) -> Iterator[tuple[float, str]]:
-        for value in _law_limits(laws[key], sigmas):
-            if text := _drawn_value_error(key, value, unchecked):
-                yield value, text
+    def error(key: str, value: float) -> str | None:
+        unusual = None if study.study.unchecked else _describe_unusual(leaf_info(key), value)
+        return value_error(value, key) or (unusual and unusual.removeprefix(": "))
 
-    unbounded_keys = [key for key in laws if any(errors(key))]
-    if study.n_draws > _MAX_CHECKED_DRAWS:
-        for key in unbounded_keys:
-            for value, error in errors(key, _extreme_sigmas(study.n_draws)):
-                study.refuse(key, f"one of {study.n_draws} draws may give {value:.6g}: {error}")
-        return
-    for first in range(0, study.n_draws if unbounded_keys else 0, _DRAWS_PER_BLOCK):
-        count = min(_DRAWS_PER_BLOCK, study.n_draws - first)
-        drawn, found = sampling.drawn_values(study, count, first=first), dict[str, str]()
-        for key in unbounded_keys:
+    laws = study.drawn.laws if study.drawn else {}
+    keys = [key for key, law in laws.items() if any(error(key, v) for v in _law_limits(law))]
+    checked = min(study.n_draws, _MAX_CHECKED_DRAWS) if keys else 0
+    for first in range(0, checked, _DRAWS_PER_BLOCK):
+        drawn = sampling.drawn_values(study, min(_DRAWS_PER_BLOCK, checked - first), first=first)
+        found = dict[str, str]()
+        for key in keys:
             for position in map(int, (drawn[key].argmin(), drawn[key].argmax())):
                 value = float(drawn[key].flat[position])
-                if text := _drawn_value_error(key, value, unchecked):
+                if text := error(key, value):
                     draw = first + position // NUMBERS_DRAWN[key]
                     found.setdefault(key, f"draw {draw} gives {value!r}: {text}")
         _refuse_all(study, found)
@@ -461,25 +434,15 @@ def _check_list_lengths(study: Study) -> None:
         raise InputError(f"[drawn] {next(iter(grids))}.grid: {text}")
 
 
-def _extreme_sigmas(draws: int) -> float:
-    """Return the sigmas that one of many normal draws exceeds with probability 0.001."""
-    return min(_MAX_SIGMAS, statistics.NormalDist().inv_cdf(1 - 1e-3 / draws))
-
-
-def _law_limits(law: Distribution, sigmas: float = _MAX_SIGMAS) -> tuple[float, ...]:
-    """Return the limits of the values of a law, of a normal one within some sigmas."""
+def _law_limits(law: Distribution) -> tuple[float, ...]:
+    """Return the limits of the values of a law."""
     if law.uniform:
         return law.uniform
     if law.normal:
         mean, deviation = law.normal
-        return mean - sigmas * deviation, mean + sigmas * deviation
+        return mean - _MAX_SIGMAS * deviation, mean + _MAX_SIGMAS * deviation
     numbers = [n for entry in law.values or law.grid or () for n in np.ravel(entry).tolist()]
     return min(numbers), max(numbers)
-
-
-def _drawn_value_error(key: str, value: float, unchecked: bool) -> str | None:
-    """Return the error text of a drawn number; None if it is valid."""
-    return value_error(value, key) or (None if unchecked else describe_implausible(key, value))
 
 
 def _check_tune_section(study: Study) -> None:
@@ -511,17 +474,15 @@ def _check_tune_section(study: Study) -> None:
         raise InputError(f"[tune] searches: {text}")
 
 
-StudyRule = Callable[[Study], None]
-
-_PRESENCE: tuple[StudyRule, ...] = (
+_PRESENCE = (
     _check_required_keys,
     _check_earth_constants,
     check_filter_noise,
     check_turn_keys,
     refuse_other_angles,
 )
-_LENGTHS: tuple[StudyRule, ...] = (_check_study_size, _check_intervals, _check_passes)
-_TIMES: tuple[StudyRule, ...] = (
+_LENGTHS = (_check_study_size, _check_intervals, _check_passes)
+_TIMES = (
     _check_coarse_method,
     _check_coarse_times,
     check_turns,
@@ -532,8 +493,7 @@ _TIMES: tuple[StudyRule, ...] = (
     _check_stop_when,
     _check_rules_of_methods,
 )
-_USE: tuple[StudyRule, ...] = (_check_unreached_values, _check_tune_section)
-_VALUES: tuple[StudyRule, ...] = (
+_VALUES = (
     _check_earth_centre,
     _check_plausible_values,
     _check_feedback_interval,
@@ -541,7 +501,12 @@ _VALUES: tuple[StudyRule, ...] = (
     _check_drawn_values,
 )
 
-STAGES = (_PRESENCE, _LENGTHS, _TIMES, (*_USE, *_VALUES))
+STAGES = (
+    _PRESENCE,
+    _LENGTHS,
+    _TIMES,
+    (_check_unreached_values, _check_tune_section, *_VALUES),
+)
 """All rules; those of a stage rely on the earlier ones."""
 
 UNTIMED_STAGES = (_PRESENCE, _VALUES)

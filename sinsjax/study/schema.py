@@ -6,7 +6,7 @@ between sections in `rules`. The methods have sections of their own, see `method
 """
 
 from functools import cache
-from typing import Annotated, Any, Literal, cast, get_args, get_origin
+from typing import Annotated, Any, Generic, Literal, TypeVar, cast, get_args, get_origin
 
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
@@ -570,6 +570,15 @@ class Distribution(Section):
         "grid values; the draws are the product of all grids, the last key fastest"
     )
 
+    @model_validator(mode="after")
+    def _check_kind(self) -> "Distribution":
+        names = type(self).model_fields
+        given = [name for name in names if getattr(self, name) is not None]
+        if len(given) != 1:
+            listed = " and ".join(given) or "none"
+            raise rule_error(f"needs one of {', '.join(names)}, not {listed}")
+        return self
+
     @property
     def rms(self) -> float:
         """Root mean square of its numbers, about zero; of the largest axis of lists."""
@@ -635,33 +644,41 @@ Searches = Annotated[
 ]
 
 
-class Range(Section):
+End = TypeVar("End", bound=vt.Finite)
+Value = TypeVar("Value")
+
+
+class Range(Section, Generic[End, Value]):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: vt.Finite | None = field("ends of the range")
-    high: vt.Finite | None = field("ends of the range")
+    low: End | None = field("ends of the range")
+    high: End | None = field("ends of the range")
     scale: Literal["linear", "log"] | None = field(
-        "spacing of the values: 'linear', or 'log' for equal ratios", otherwise="'linear'"
+        "spacing of the values: 'linear', or 'log' for equal ratios",
+        otherwise="'linear'",
+        default_factory=lambda given: None if given.get("low") is None else "linear",
     )
-    fixed: Any = field("single value")
-    candidates: ListEntries | None = field("values to try")
+    fixed: Value | None = field("single value")
+    candidates: Annotated[tuple[Value, ...], Field(min_length=1)] | None = field("values to try")
 
     @model_validator(mode="after")
-    def _check_kind(self) -> "Range":
+    def _check_kind(self) -> "Range[End, Value]":
         names = ("low", "high", "fixed", "candidates")
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):
             listed = " and ".join(given) or "none"
             raise rule_error(f"needs low and high, or fixed, or candidates, not {listed}")
+        if len({*(self.candidates or ())}) < len(self.candidates or ()):
+            raise rule_error("repeats a value (drop one)", key="candidates")
         if self.low is None or self.high is None:
             if self.scale is not None:
                 raise rule_error("requires low and high", key="scale")
-            return self
-        if not self.low < self.high:
-            raise rule_error(
-                f"must be above low = {self.low:.12g}, not {self.high:.12g}", key="high"
-            )
-        if self.scale == "log" and self.low <= 0:
+        elif isinstance(self.low, int):
+            raise rule_error("must be whole numbers (list them as candidates)")
+        elif not self.low < self.high:
+            text = f"must be above low = {self.low:.12g}, not {self.high:.12g}"
+            raise rule_error(text, key="high")
+        elif self.scale == "log" and self.low <= 0:
             raise rule_error(f"'log' needs low > 0, not {self.low:.12g}", key="scale")
         return self
 

@@ -5,13 +5,12 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import create_model
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
@@ -20,6 +19,8 @@ from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study import display
 from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
+from sinsjax.study.changes import apply_changes, copy_tables
+from sinsjax.study.defaults import without_defaults
 from sinsjax.study.keys import (
     COARSE_KEYS,
     PASS_KEYS,
@@ -36,7 +37,6 @@ from sinsjax.study.reset_schedules import (
     derive_schedule,
 )
 from sinsjax.study.schema import (
-    DrawnSection,
     EarthSection,
     MotionSection,
     RecordSection,
@@ -46,10 +46,9 @@ from sinsjax.study.schema import (
     TuneSection,
     keys_acting_as,
 )
-from sinsjax.study.sweep import sweep_dimensions
+from sinsjax.study.sweep import Sweep
 from sinsjax.study.sweep_columns import (
     CodedColumn,
-    Dimension,
     SweepColumns,
     constant_column,
     unique_with_inverse,
@@ -95,16 +94,17 @@ class Span(NamedTuple):
 
 
 if TYPE_CHECKING:  # their attributes are read by name, after `Study.has`
-    _SectionsOfMethods = BaseModel
+    _SectionsOfMethods = Sweep
 else:
     _SectionsOfMethods = create_model(
         "_SectionsOfMethods",
+        __base__=Sweep,
         **{name: (section | None, None) for name, section in SECTIONS_OF_METHODS.items()},
     )
 
 
 class Study(_SectionsOfMethods):
-    """A checked study: its sections with all defaults, its sweep and its drawn keys.
+    """A checked study: its sections with all defaults, and what varies in it, see `Sweep`.
 
     A variant is one point of the sweep: cases outermost, then the zips, then the axes in the order
     of the file, the last one fastest. A section that does not apply is None: ``motion`` and
@@ -112,14 +112,6 @@ class Study(_SectionsOfMethods):
     reads them, ``passes`` if the record is used once; also ``drawn``, ``stop_when``, ``tune`` and,
     in a simulated study, ``coarse`` if they are not given. A key that does not apply is None too,
     such as ``gravity_m_per_s2`` if no variant has constants.
-
-    Attributes:
-        axes: values of single axes by leaf key, in the order of the file.
-        zips: axes that vary together by the name of their table: values by leaf key, all of the
-            same length.
-        cases: one table of leaf keys per case, all with the same keys; ``case`` is the label.
-        drawn: distributions of keys whose value differs between draws; no section, axis or case
-            has these keys.
 
     Examples:
         >>> study = sinsjax.load_study("reset_sweep")
@@ -129,8 +121,6 @@ class Study(_SectionsOfMethods):
         'kalman5'
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
     study: StudySection
     earth: EarthSection
     motion: MotionSection | None = None
@@ -139,18 +129,11 @@ class Study(_SectionsOfMethods):
     passes: PassesSection | None = None
     record: RecordSection | None = None
     coarse: CoarseSection | None = None
-    drawn: DrawnSection | None = None
     stop_when: StopWhenSection | None = None
     tune: TuneSection | None = None
-    axes: Dimension
-    zips: dict[str, Dimension] = {}
-    cases: tuple[TomlTable, ...]
 
-    rebuild: ClassVar[Callable[["Study", Mapping[str, Any]], "Study"]]
-    """Function that builds a changed study, set by `load`."""
-
-    tables: ClassVar[Callable[["Study"], TomlTable]]
-    """Function that returns a study as tables without defaults, set by `load`."""
+    from_tables: ClassVar[Callable[[TomlTable, str], "Study"]]
+    """`load.study_from_dict`, which sets it."""
 
     def replace(self, changes: Mapping[str, Any]) -> "Study":
         """Return the study with some values changed, and new defaults where they depend on these.
@@ -168,7 +151,8 @@ class Study(_SectionsOfMethods):
             >>> study.n_variants, study.replace({"alignment.phi_u0_deg": 12.0}).n_variants
             (448, 56)
         """
-        return type(self).rebuild(self, changes)
+        changed = apply_changes(self.to_dict(), changes, self.name)
+        return type(self).from_tables(changed, self.name)
 
     def to_dict(self) -> TomlTable:
         """Return the study as nested tables, as in its TOML file, without keys at their defaults.
@@ -182,7 +166,8 @@ class Study(_SectionsOfMethods):
             >>> sinsjax.study_from_dict(study.to_dict()) == study
             True
         """
-        return type(self).tables(self)
+        tables = without_defaults(study_to_tables(self), self.values_varied)
+        return {name: copy_tables(table) for name, table in tables.items() if table}
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method and length."""
@@ -247,12 +232,7 @@ class Study(_SectionsOfMethods):
     @property
     def n_variants(self) -> int:
         """Number of points of the sweep; 1 without a sweep."""
-        return math.prod(map(_dimension_length, self.dimensions))
-
-    @property
-    def dimensions(self) -> list[Dimension]:
-        """Dimensions of the sweep, see `sweep_dimensions`."""
-        return sweep_dimensions(self.cases, self.zips.values(), self.axes)
+        return math.prod(len(next(iter(dimension.values()))) for dimension in self.dimensions)
 
     @property
     def record_every(self) -> int:
@@ -265,9 +245,16 @@ class Study(_SectionsOfMethods):
         samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
+    @cached_property
+    def _columns(self) -> SweepColumns:
+        columns = SweepColumns(self.dimensions, self._constant)
+        if self.names_schedules:
+            columns.derive(DERIVED, self._law_inputs, self._derive)
+        return columns
+
     def coded(self, *keys: str) -> CodedColumn:
         """Return the column of a key, or of combinations of several, see `SweepColumns.column`."""
-        return _columns_of(_IdentityKey(self)).column(*keys)
+        return self._columns.column(*keys)
 
     @property
     def lengths(self) -> CodedColumn:
@@ -407,19 +394,6 @@ class Study(_SectionsOfMethods):
         return self.schedules.to_list()
 
     @property
-    def axis_keys(self) -> tuple[str, ...]:
-        """Keys that vary over the variants, in the order of the dimensions: cases, zips, axes.
-
-        The label ``case``, if any, is the first.
-        """
-        return tuple(key for dimension in self.dimensions for key in dimension)
-
-    @property
-    def drawn_keys(self) -> tuple[str, ...]:
-        """Keys whose value differs between draws, in the order of the file."""
-        return tuple(self.drawn.laws) if self.drawn else ()
-
-    @property
     def sequential_keys(self) -> list[str]:
         """The `SEQUENTIAL_KEYS` that are not zero in some variant."""
         if self.is_recorded:
@@ -430,11 +404,6 @@ class Study(_SectionsOfMethods):
             return any(value is None or np.any(value) for value in values)
 
         return [key for key in SEQUENTIAL_KEYS if is_nonzero(key)]
-
-    @property
-    def requires_sequential(self) -> bool:
-        """Return whether samples of some variant depend on earlier samples."""
-        return bool(self.sequential_keys)
 
     @property
     def axes_shown(self) -> dict[tuple[str, ...], tuple[Any, ...]]:
@@ -461,12 +430,9 @@ class Study(_SectionsOfMethods):
 
     def given_in(self, key: str) -> str | None:
         """Return the table, in brackets, that gives, sweeps or draws a key; None if none does."""
+        if table := self.table_of.get(key):
+            return table
         name = SECTION_OF[key]
-        varied = {"[drawn]": self.drawn_keys, "[cases]": self.cases[0] if self.cases else ()}
-        varied |= {f"[axes.{zip_}]": tuple(keys) for zip_, keys in self.zips.items()}
-        for table, keys in (varied | {"[axes]": self.axes}).items():
-            if key in keys:
-                return table
         section = getattr(self, name)
         return f"[{name}]" if section and key in section.model_fields_set else None
 
@@ -558,10 +524,13 @@ class Study(_SectionsOfMethods):
 
         The value of a drawn key is None.
         """
-        if {*keys} & {*DERIVED} and self.names_schedules:
-            yield from self._derived_combinations(keys)
+        if not ({*keys} & {*DERIVED} and self.names_schedules):
+            yield from self.given_combinations(*keys)
             return
-        yield from self.given_combinations(*keys)
+        points = self.given_combinations(*dict.fromkeys((*keys, *self._law_inputs)))
+        derived = (point | self._derive(point) for point in points)
+        for values in dict.fromkeys(tuple(point[key] for key in keys) for point in derived):
+            yield dict(zip(keys, values, strict=True))
 
     def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """Yield the combinations of values as the file gives them, before `derive_schedule`."""
@@ -587,17 +556,13 @@ class Study(_SectionsOfMethods):
         """Keys of resets whose values follow from `schedule` where it is not 'times'."""
         return tuple(key for key in DERIVED if key not in LAW_KEYS) if self.names_schedules else ()
 
-    def _derived_combinations(self, keys: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-        inputs = [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]
-        found: dict[tuple[Any, ...], None] = {}
-        for point in self.given_combinations(*dict.fromkeys((*keys, *inputs))):
-            values = point | self._derive(point)
-            found[tuple(values[key] for key in keys)] = None
-        yield from (dict(zip(keys, values, strict=True)) for values in found)
+    @property
+    def _law_inputs(self) -> list[str]:
+        return [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]
 
     def is_readable(self, key: str) -> bool:
         """Return whether this study has the section of a sweepable key."""
-        return SECTION_OF[key] in SWEEPABLE and getattr(self, SECTION_OF[key]) is not None
+        return SECTION_OF[key] in SWEEPABLE and self.has(SECTION_OF[key])
 
     def _derive(self, point: Mapping[str, Any]) -> dict[str, Any]:
         # The rate of a recorded study is known, and its schedule final, once its record is read.
@@ -606,34 +571,19 @@ class Study(_SectionsOfMethods):
         )
 
     def _constant(self, key: str) -> Any:
-        section = getattr(self, SECTION_OF[key])
-        if SECTION_OF[key] not in SWEEPABLE or section is None:
+        if not self.is_readable(key):
             raise KeyError(key)
-        return None if key in self.drawn_keys else getattr(section, key)
+        return None if key in self.drawn_keys else getattr(getattr(self, SECTION_OF[key]), key)
 
 
-@dataclass(frozen=True, eq=False)
-class _IdentityKey:
-    """A study as a key, compared by identity, since studies never change."""
-
-    study: Study
-
-    def __hash__(self) -> int:
-        return id(self.study)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _IdentityKey) and self.study is other.study
-
-
-@lru_cache(maxsize=4)
-def _columns_of(key: _IdentityKey) -> SweepColumns:
-    study = key.study
-    columns = SweepColumns(study.dimensions, study._constant)
-    if study.names_schedules:
-        inputs = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
-        columns.derive(DERIVED, inputs, study._derive)
-    return columns
-
-
-def _dimension_length(dimension: Dimension) -> int:
-    return len(next(iter(dimension.values())))
+def study_to_tables(study: Study) -> TomlTable:
+    """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`."""
+    content = study.model_dump(exclude_none=True)
+    for key in study.drawn_keys:
+        content[SECTION_OF[key]].pop(key, None)
+    content["axes"] |= content.pop("zips")
+    content["cases"] = [
+        {key: value for key, value in case.items() if value is not None} for case in study.cases
+    ]
+    names = (*SECTIONS, "axes", "cases", "drawn")
+    return {name: content[name] for name in names if content.get(name)}

@@ -6,11 +6,11 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 """
 
 import functools
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from types import UnionType
-from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
+from collections.abc import Callable, Collection, Mapping, Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax import gone
@@ -37,55 +37,71 @@ TIMES, COUNT = "reset_times_s", "reset_count"
 
 Ranges = dict[str, Range | tuple[Range, ...]]
 
-_LAW_NAMES = tuple(Distribution.model_fields)
-_LAW_MEANINGS = {
-    name: Distribution.model_fields[name].description for name in ("normal", "uniform")
-}
-_LAW_FORMS = ", ".join(f"{name} = {meaning}" for name, meaning in _LAW_MEANINGS.items())
-_RANGE_KEYS = tuple(Range.model_fields)
-_VARIABLES, _BASELINE = "[tune.variables]", "[tune.baseline]"
+_VARIABLES = "[tune.variables]"
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
 """Settings of [tune] of the search 'covariance' of version 1.0."""
 
-_Check = Callable[[Any], Any]
+_Forms = Mapping[str, str]
+
+
+def _forms(table: type[BaseModel]) -> _Forms:
+    """Return how the keys of a table are written, for the user."""
+    texts = {name: field.description or "" for name, field in table.model_fields.items()}
+    return {name: f"{name} = {text}" if text[0] == "[" else name for name, text in texts.items()}
+
+
+_LAWS, _RANGES, _NO_FORMS = _forms(Distribution), _forms(Range), _forms(BaseModel)
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+_INSTEAD = {
+    "start_s": "list the start times in [record], one draw each",
+    "attitude_file": "use one study per file",
+} | dict.fromkeys(SECTIONS["study"].model_fields, "all runs share [study]: use one study per value")
+"""What to do instead of varying a key over the variants."""
 
 
-def sweep_dimensions(
-    cases: Sequence[TomlTable], zips: Iterable[Dimension], axes: Dimension
-) -> list[Dimension]:
-    """Return the dimensions of a sweep: tables of values by key, whose product is the sweep.
-
-    Args:
-        cases: one table per case.
-        zips: values by key of each zip.
-        axes: values by key, one dimension per key.
-
-    Returns:
-        The cases first, since they vary most slowly, with the label before their keys; then the
-        zips; then the axes.
-    """
-    keys = sorted(cases[0] if cases else (), key=lambda key: key != "case")
-    joint = {key: tuple(case[key] for case in cases) for key in keys}
-    return [*([joint] if joint else ()), *zips, *({key: axes[key]} for key in axes)]
-
-
-class Sweep(NamedTuple):
-    """The variation of a study.
+class Sweep(BaseModel):
+    """What varies in a study.
 
     Attributes:
-        axes: as in `Study`, like the next three.
-        zips: see above.
-        cases: see above.
-        drawn: see above.
-        inherited: keys that some cases have from their sections, where they do not count any more.
+        axes: values of single axes by leaf key, in the order of the file.
+        zips: axes that vary together by the name of their table: values by leaf key, all of the
+            same length.
+        cases: one table of leaf keys per case, all with the same keys; ``case`` is the label.
+        drawn: distributions of keys whose value differs between draws; no section, axis or case
+            has these keys.
     """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     axes: Dimension = {}
     zips: dict[str, Dimension] = {}
     cases: tuple[TomlTable, ...] = ()
     drawn: DrawnSection | None = None
-    inherited: frozenset[str] = frozenset()
+
+    @property
+    def dimensions(self) -> list[Dimension]:
+        """Tables of values by key, whose product is the sweep.
+
+        The cases are the first, since they vary most slowly, with the label before their keys; then
+        the zips; then the axes, one by one.
+        """
+        keys = sorted(self.cases[0] if self.cases else (), key=lambda key: key != "case")
+        cases = {key: tuple(case[key] for case in self.cases) for key in keys}
+        axes = ({key: values} for key, values in self.axes.items())
+        return [*([cases] if cases else ()), *self.zips.values(), *axes]
+
+    @property
+    def axis_keys(self) -> tuple[str, ...]:
+        """Keys that vary over the variants, in the order of the dimensions: cases, zips, axes.
+
+        The label ``case``, if any, is the first.
+        """
+        return tuple(key for dimension in self.dimensions for key in dimension)
+
+    @property
+    def drawn_keys(self) -> tuple[str, ...]:
+        """Keys whose value differs between draws, in the order of the file."""
+        return tuple(self.drawn.laws) if self.drawn else ()
 
     @property
     def table_of(self) -> dict[str, str]:
@@ -94,80 +110,66 @@ class Sweep(NamedTuple):
             **dict.fromkeys(self.axes, "[axes]"),
             **{key: f"[axes.{name}]" for name, keys in self.zips.items() for key in keys},
             **dict.fromkeys(self.cases[0] if self.cases else (), "[cases]"),
-            **dict.fromkeys(self.drawn.laws if self.drawn else (), "[drawn]"),
+            **dict.fromkeys(self.drawn_keys, "[drawn]"),
         }
 
     @property
-    def for_study(self) -> TomlTable:
-        """The attributes of a `Study`."""
-        return {name: value for name, value in self._asdict().items() if name != "inherited"}
-
-    @property
-    def values(self) -> dict[str, tuple[Any, ...]]:
+    def values_varied(self) -> dict[str, tuple[Any, ...]]:
         """The values of every key that is swept; none of keys that are drawn."""
-        dimensions = sweep_dimensions(self.cases, self.zips.values(), self.axes)
-        swept = {key: values for dimension in dimensions for key, values in dimension.items()}
-        return dict.fromkeys(self.drawn.laws if self.drawn else (), ()) | swept
+        swept = {key: values for dimension in self.dimensions for key, values in dimension.items()}
+        return dict.fromkeys(self.drawn_keys, ()) | swept
 
 
-def read_sweep(tables: TomlTable) -> Sweep:
-    """Return the axes, zips, cases and drawn keys of a study.
+def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
+    """Return what varies in a study.
 
     Args:
         tables: tables of the file, with tuples for lists.
 
+    Returns:
+        Axes, zips, cases and drawn keys; and the keys that some cases have from their sections,
+        where they do not count any more.
+
     Raises:
         InputError: ``[table] key: what is wrong (hint)``.
     """
-    errors, swept = ErrorCollector(), Sweep()
+    errors, sweep, inherited = ErrorCollector(), Sweep(), frozenset[str]()
     with errors.collect():
         axes, zips = _read_axes(tables)
-        swept = swept._replace(axes=axes, zips=zips)
+        sweep = Sweep(axes=axes, zips=zips)
     with errors.collect():
-        cases, inherited = _read_cases(tables, swept.values)
-        swept = swept._replace(cases=cases, inherited=inherited)
+        cases, inherited = _read_cases(tables, sweep.values_varied)
+        sweep = sweep.model_copy(update={"cases": cases})
     table_of = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     with errors.collect():
-        swept = swept._replace(drawn=_read_drawn(tables, table_of | swept.table_of))
+        drawn = _read_drawn(tables, table_of | sweep.table_of)
+        sweep = sweep.model_copy(update={"drawn": drawn})
     errors.raise_all()
-    return swept
+    return sweep, inherited
 
 
-def check_value(value: Any, key: str, place: str) -> Any:
+def check_value(value: Any, key: str, place: str, *, many: bool = False) -> Any:
     """Return a value of a key, as a study has it.
 
     Args:
         value: value to check.
         key: leaf key, or ``case``.
         place: place that an error names.
+        many: whether it is a list of values instead.
 
     Raises:
-        InputError: the key does not accept the value.
+        InputError: the key does not accept the value; a line per wrong entry.
     """
-    if value is None:
-        raise InputError(f"{place}: None is not a value")
-    return _check_type(value, _validator(key), place, f"{SECTION_OF.get(key)}.{key}")
+    return _check(_validator(key, many), value, place, f"{SECTION_OF.get(key)}.{key}")
 
 
-def _check_type(value: Any, validate: _Check, place: str, name: str = "") -> Any:
+def value_error(value: Any, key: str) -> str | None:
+    """Return the rule that a value of a leaf key breaks; None for a valid value."""
     try:
-        return validate(value)
+        _validator(key)(value)
     except ValidationError as error:
-        raise InputError(
-            *(
-                f"{place}{format_list_index(detail)}: {explain_error(detail, name)}"
-                for detail in correctable_errors(error)
-            )
-        ) from None
-
-
-@functools.cache
-def _validator(key: str) -> _Check:
-    annotation: Any = Name
-    if key != "case":
-        field = SECTIONS[SECTION_OF[key]].model_fields[key]
-        annotation = Annotated[field.annotation, field]
-    return TypeAdapter(annotation, config=_STRICT).validate_python
+        return describe_broken_rule(error.errors()[0])
+    return None
 
 
 def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
@@ -185,73 +187,103 @@ def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     return [d for d in errors if format_list_index(d) or d["loc"] not in with_entries]
 
 
-def value_error(value: Any, key: str) -> str | None:
-    """Return the rule that a value of a leaf key breaks; None for a valid value."""
+def _check(
+    validate: Callable[[Any], Any],
+    value: Any,
+    place: str,
+    name: str = "",
+    forms: _Forms = _NO_FORMS,
+) -> Any:
+    """Return a value as a function of pydantic returns it; an error names its place in a table."""
+
+    def line(detail: ErrorDetails) -> str:
+        kind, path, hint = detail["type"], "", f" (use {', '.join(forms.values())})"
+        parts = (*detail["loc"], *filter(None, [detail.get("ctx", {}).get("key")]))
+        for part in parts:
+            if isinstance(part, int):
+                path += f"[{part}]"
+            elif part in forms or kind == "extra_forbidden":
+                path += f".{part}"
+        text = explain_error(detail, name)
+        if kind == "extra_forbidden":
+            text = f"unknown key{suggest_closest(str(parts[0]), forms) or hint}"
+        elif forms and kind in ("model_type", "tuple_type", "missing", "too_long"):
+            text += f" (use {forms[str(parts[0])]})" if parts else hint
+        return f"{place}{path}: {text}"
+
     try:
-        _validator(key)(value)
+        return validate(value)
     except ValidationError as error:
-        return describe_broken_rule(error.errors()[0])
-    return None
+        raise InputError(*map(line, correctable_errors(error))) from None
 
 
-def check_values(values: Iterable[Any], key: str, place: str) -> tuple[Any, ...]:
-    """Return the entries of a list as values of a key, see `check_value`.
-
-    Raises:
-        InputError: some are not valid; a line per value.
-    """
-    return _check_each(values, place, lambda value, at: check_value(value, key, at))
+@functools.cache
+def _validator(key: str, many: bool = False) -> Callable[[Any], Any]:
+    kind: Any = Name if key == "case" else _type_of(key)
+    return TypeAdapter(tuple[kind, ...] if many else kind, config=_STRICT).validate_python
 
 
-def _check_each(
-    values: Iterable[Any], place: str, check: Callable[[Any, str], Any]
-) -> tuple[Any, ...]:
-    errors, checked = ErrorCollector(), []
-    for i, value in enumerate(values):
-        with errors.collect():
-            checked.append(check(value, f"{place}[{i}]"))
-    errors.raise_all()
-    return tuple(checked)
+def _type_of(key: str) -> Any:
+    """Return the type of the values of a leaf key, without None."""
+    field = SECTIONS[SECTION_OF[key]].model_fields[key]
+    kinds: Any = (field.annotation,)
+    if get_origin(field.annotation) in (Union, UnionType):
+        kinds = tuple(kind for kind in get_args(field.annotation) if kind is not NoneType)
+    return Annotated[Union[kinds], *field.metadata] if field.metadata else Union[kinds]  # noqa: UP007
+
+
+def _check_varies(place: str, key: str, sections: Sequence[str], how: str, recorded: bool) -> None:
+    """Refuse a key that is unknown or cannot vary, such as one that cannot be swept or tuned."""
+    section = SECTION_OF.get(key)
+    if section is None:
+        reason = unknown_key_error(key, [k for k, home in SECTION_OF.items() if home in sections])
+    elif section not in sections or key in _INSTEAD:
+        reason = f"cannot be {how} ({_INSTEAD.get(key, f'it is a key of [{section}]')})"
+    elif recorded and section in SIMULATED_ONLY:
+        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
+    else:
+        return
+    raise InputError(f"{place} {key}: {reason}")
+
+
+def _check_distinct(rows: Sequence[Any], place: str) -> None:
+    first: dict[Any, int] = {}
+    for i, row in enumerate(rows):
+        if first.setdefault(row, i) < i:
+            raise InputError(f"{place}[{i}]: repeats [{first[row]}] (drop one of them)")
 
 
 def _read_axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
     """Return the single axes and the zips."""
-    axes, zips, errors, recorded = {}, {}, ErrorCollector(), "record" in tables
-    for key, values in tables.get("axes", {}).items():
+    axes, zips, errors = Dimension(), dict[str, Dimension](), ErrorCollector()
+    given, table_of = tables.get("axes", {}), dict[str, str]()
+    for name in sorted(given, key=lambda name: isinstance(given[name], Mapping)):
+        is_zip = isinstance(given[name], Mapping)
+        table, keys = f"[axes.{name}]" if is_zip else "[axes]", given[name]
         with errors.collect():
-            if isinstance(values, Mapping):
-                zips[key] = _read_zip(f"[axes.{key}]", values, recorded)
-            else:
-                axes[key] = _read_axis("[axes]", key, values, recorded)
-                _check_distinct(axes[key], f"[axes] {key}")
-    used_keys = set(axes)
-    for name, keys in zips.items():
-        with errors.collect():
-            for key in used_keys & keys.keys():
-                raise InputError(f"[axes.{name}] {key}: is an axis already (drop one of them)")
-        used_keys |= keys.keys()
+            dimension = _read_dimension(table, keys if is_zip else {name: keys}, tables)
+            for key in dimension:
+                if table_of.setdefault(key, table) != table:
+                    raise InputError(f"{table} {key}: is an axis already (drop one of them)")
+            zips |= {name: dimension} if is_zip else {}
+            axes |= {} if is_zip else dimension
     errors.raise_all()
     return axes, zips
 
 
-def _axis_keys(tables: TomlTable) -> set[str]:
-    """Return the keys of all axes, with right or wrong values."""
-    axes = tables.get("axes", {})
-    return {
-        key
-        for name, values in axes.items()
-        for key in (values if isinstance(values, Mapping) else (name,))
-    }
-
-
-def _read_zip(table: str, keys: Mapping[str, Any], recorded: bool) -> Dimension:
-    """Return the axes of a table, which vary together."""
+def _read_dimension(table: str, keys: Mapping[str, Any], tables: TomlTable) -> Dimension:
+    """Return the values of an axis, or of the axes that a table varies together."""
     if not keys:
         raise InputError(f"{table}: must not be empty")
-    joint, errors = {}, ErrorCollector()
+    joint, errors = Dimension(), ErrorCollector()
     for key, values in keys.items():
         with errors.collect():
-            joint[key] = _read_axis(table, key, values, recorded)
+            _check_varies(table, key, SWEEPABLE, "swept", "record" in tables)
+            if not isinstance(values, tuple):
+                raise InputError(f"{table} {key}: must be a list of values, not {values!r}")
+            if not values:
+                raise InputError(f"{table} {key}: must not be empty")
+            joint[key] = check_value(values, key, f"{table} {key}", many=True)
     errors.raise_all()
     first = next(iter(joint))
     for key, values in joint.items():
@@ -260,15 +292,6 @@ def _read_zip(table: str, keys: Mapping[str, Any], recorded: bool) -> Dimension:
             raise InputError(f"{table} {key}: {text} (give as many, since they vary together)")
     _check_distinct(list(zip(*joint.values(), strict=True)), f"{table} {', '.join(joint)}")
     return joint
-
-
-def _read_axis(table: str, key: str, values: Any, recorded: bool) -> tuple[Any, ...]:
-    _check_sweepable(table, key, recorded)
-    if not isinstance(values, tuple):
-        raise InputError(f"{table} {key}: must be a list of values, not {values!r}")
-    if not values:
-        raise InputError(f"{table} {key}: must not be empty")
-    return check_values(values, key, f"{table} {key}")
 
 
 def _read_cases(
@@ -284,62 +307,50 @@ def _read_cases(
         raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
-    keys, swept = dict.fromkeys(key for row in rows for key in row), _axis_keys(tables)
-    errors = ErrorCollector()
+    keys = dict.fromkeys(key for row in rows for key in row)
+    given = tables.get("axes", {})
+    zipped = {key for table in given.values() if isinstance(table, Mapping) for key in table}
+    errors, cases = ErrorCollector(), list[TomlTable]()
     for key in keys:
         with errors.collect():
             if key != "case":
-                _check_sweepable("[cases]", key, "record" in tables)
-            if key in swept:
+                _check_varies("[cases]", key, SWEEPABLE, "swept", "record" in tables)
+            if key in zipped or not isinstance(given.get(key, {}), Mapping):
                 raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
     errors.raise_all()
-    rivals = {key: alternative_keys(key) & keys.keys() for key in keys}
-    given: list[TomlTable] = []
     for i, row in enumerate(rows):
-        given.append({})
+        cases.append({})
         for key, value in row.items():
             with errors.collect():
-                given[i][key] = check_value(value, key, f"[cases] {key}[{i}]")
-                for other in sorted(rivals[key] & row.keys()):
+                cases[i][key] = check_value(value, key, f"[cases] {key}[{i}]")
+                for other in sorted(alternative_keys(key) & row.keys()):
                     text = f"conflicts with {other} in the same case (give one of them)"
                     raise InputError(f"[cases] {key}[{i}]: {text}")
         if "case" in keys and "case" not in row:
             errors.add(f"[cases] case[{i}]: is not in every case (give it in all of them)")
     errors.raise_all()
     inherited = [key for key in keys if any(key not in row for row in rows)]
-    others = [other for key in inherited for other in sorted(alternative_keys(key))]
     # What a case without a key has in its place differs from case to case too.
     acting = [
-        key
-        for key in dict.fromkeys(others)
-        if key in tables.get(SECTION_OF[key], ()) or _acts_by_default(key, tables)
+        other
+        for key in inherited
+        for other in sorted(alternative_keys(key))
+        if other in tables.get(SECTION_OF[other], ())
+        or (other != COUNT and dependent_default(other, GivenKeys(tables, {})) is not None)
     ]
     keys |= dict.fromkeys(acting)
     with errors.collect():
-        cases = tuple(_complete_case(row, keys, tables, axes) for row in given)
+        for case in cases:
+            varied = GivenKeys(tables, {**axes, **{key: (value,) for key, value in case.items()}})
+            case |= {key: _inherited_value(key, varied) for key in keys if key not in case}
     errors.raise_all()
     names = [key for key in keys if key != "case"]
-    place = f"[cases] {', '.join(names) or 'case'}"
-    _check_distinct([tuple(case[key] for key in names) for case in cases], place)
+    rows = [tuple(case[key] for key in names) for case in cases]
+    _check_distinct(rows, f"[cases] {', '.join(names) or 'case'}")
     if "case" in keys:
         _check_distinct([case["case"] for case in cases], "[cases] case")
-    return cases, frozenset((*inherited, *acting))
-
-
-def _acts_by_default(key: str, tables: TomlTable) -> bool:
-    """Return whether a key that is left out, with its alternatives, acts by its default."""
-    default = dependent_default(key, GivenKeys(tables, {}))
-    return default is not None and key != "reset_count"
-
-
-def _complete_case(
-    row: TomlTable, keys: Iterable[str], tables: TomlTable, axes: Mapping[str, Collection[Any]]
-) -> TomlTable:
-    """Return a case with the values of some keys that it leaves out."""
-    given = GivenKeys(tables, {})
-    if any(key not in row for key in keys):
-        given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in row.items()}})
-    return {key: row[key] if key in row else _inherited_value(key, given) for key in keys}
+    ordered = tuple({key: case[key] for key in keys} for case in cases)
+    return ordered, frozenset((*inherited, *acting))
 
 
 def _inherited_value(key: str, given: GivenKeys) -> Any:
@@ -360,103 +371,51 @@ def _read_drawn(tables: TomlTable, table_of: Mapping[str, str]) -> DrawnSection 
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
     if "drawn" not in tables:
         return None
-    table = dict(tables["drawn"])
+    table, errors = dict(tables["drawn"]), ErrorCollector()
     sampling = {"sampling": table.pop("sampling")} if "sampling" in table else {}
     if not table:
         raise InputError("[drawn]: has no key to draw (drop it)")
-    laws, errors = {}, ErrorCollector()
-    for key, law in table.items():
+    for key in table:
         with errors.collect():
             _check_drawable(key, "record" in tables)
             if key in table_of:
                 raise InputError(f"[drawn] {key}: is in {table_of[key]} already (drop one of them)")
-            laws[key] = _read_law(key, law)
+            place = f"[drawn] {key}"
+            law = _check(Distribution.model_validate, table[key], place, forms=_LAWS)
+            for name in ("values", "grid"):
+                if entries := getattr(law, name):
+                    entries = check_value(entries, key, f"{place}.{name}", many=True)
+                    law = law.model_copy(update={name: entries})
+            table[key] = law
+    with errors.collect():
+        _check(DrawnSection.model_validate, sampling, "[drawn] sampling")
     errors.raise_all()
-    try:
-        return DrawnSection.model_validate(sampling | laws)
-    except ValidationError as error:
-        raise InputError(f"[drawn] sampling: {explain_error(error.errors()[0])}") from None
-
-
-def _read_law(key: str, table: Any) -> Distribution:
-    """Return the distribution of a key, with all list entries checked as its values."""
-    if not isinstance(table, Mapping):
-        example = f"{key} = {{ uniform = [0, 1] }}"
-        raise InputError(f"[drawn] {key}: must be a table such as {example}, not {table!r}")
-    for name in table:
-        if name not in _LAW_NAMES:
-            hint = suggest_closest(name, _LAW_NAMES) or f" (use {_LAW_FORMS}, values or grid)"
-            raise InputError(f"[drawn] {key}.{name}: unknown key{hint}")
-    if len(table) != 1:
-        given = " and ".join(table) or "none"
-        raise InputError(f"[drawn] {key}: needs one of {', '.join(_LAW_NAMES)}, not {given}")
-    ((name, value),) = table.items()
-    place = f"[drawn] {key}.{name}"
-    if value is None:
-        raise InputError(f"{place}: None is not a value")
-    try:
-        law = Distribution.model_validate({name: value})
-    except ValidationError as error:
-        first = error.errors()[0]
-        text = f"{place}{format_list_index(first)}: {explain_error(first)}"
-        if first["type"] in ("tuple_type", "missing", "too_long") and name in _LAW_MEANINGS:
-            text += f" (use {name} = {_LAW_MEANINGS[name]})"
-        raise InputError(text) from None
-    if name not in ("values", "grid"):
-        return law
-    return Distribution.model_validate({name: check_values(value, key, place)})
-
-
-def _check_sweepable(table: str, key: str, recorded: bool) -> None:
-    """Refuse a key that is unknown or cannot be swept."""
-    section = SECTION_OF.get(key)
-    if key == "start_s":
-        reason = "cannot be swept (list the start times in [record], one draw each)"
-    elif key == "attitude_file":
-        reason = "cannot be swept (use one study per file)"
-    elif section is None:
-        reason = unknown_key_error(key, [k for k, home in SECTION_OF.items() if home in SWEEPABLE])
-    elif section == "study":
-        reason = "cannot be swept (all runs share [study]: use one study per value)"
-    elif section not in SWEEPABLE:
-        reason = f"cannot be swept (it is a key of [{section}])"
-    elif recorded and section in SIMULATED_ONLY:
-        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
-    else:
-        return
-    raise InputError(f"{table} {key}: {reason}")
+    return DrawnSection.model_validate(sampling | table)
 
 
 def _check_drawable(key: str, recorded: bool) -> None:
     """Refuse a key that is unknown or cannot be drawn."""
-    section = SECTION_OF.get(key)
+    section, initial = SECTION_OF.get(key), ", ".join(INITIAL_NUMBERS)
     if section is None:
         reason = unknown_key_error(key, NUMBERS_DRAWN)
     elif key not in NUMBERS_DRAWN:
-        kinds = "latitude_deg, keys of [motion] and [sensors]"
-        reason = f"cannot be drawn (possible: {kinds}, {', '.join(INITIAL_NUMBERS)})"
+        kinds = f"latitude_deg, keys of [motion] and [sensors], {initial}"
+        reason = f"cannot be drawn (possible: {kinds})"
     elif recorded and section in SIMULATED_ONLY:
         reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
     elif recorded and key not in INITIAL_NUMBERS:
-        reason = f"cannot be drawn in a recorded study (possible: {', '.join(INITIAL_NUMBERS)})"
+        reason = f"cannot be drawn in a recorded study (possible: {initial})"
     else:
         return
     raise InputError(f"[drawn] {key}: {reason}")
 
 
-def _check_distinct(values: Sequence[Any], place: str) -> None:
-    seen: dict[Any, int] = {}
-    for i, value in enumerate(values):
-        if seen.setdefault(value, i) < i:
-            raise InputError(f"{place}[{i}]: repeats [{seen[value]}] (drop one of them)")
-
-
-def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: bool) -> TomlTable:
+def read_tune_section(table: TomlTable, varied: Mapping[str, str], *, recorded: bool) -> TomlTable:
     """Return the section [tune] with checked ranges and values.
 
     Args:
         table: table of the file, with tuples for lists.
-        swept: the table, in brackets, of each key that is swept or drawn.
+        varied: the table, in brackets, of each key that is swept or drawn.
         recorded: whether the study reads a record.
 
     Raises:
@@ -467,14 +426,80 @@ def read_tune_section(table: TomlTable, swept: Mapping[str, str], *, recorded: b
         if leaf_info(key).in_simulation is not None:
             text = "does not apply to a recorded study (drop it: tuning uses the start times)"
             errors.add(f"[tune] {key}: {text}")
-    for key, read in (("variables", _read_ranges), ("baseline", _read_baseline)):
-        with errors.collect():
-            if key in table and not isinstance(table[key], Mapping):
-                raise InputError(f"[tune] {key}: must be a table of keys")
-            if key in table:
-                table[key] = read(table[key], swept)
+    for name, read in (("variables", _read_range), ("baseline", check_value)):
+        given, place = table.get(name, {}), f"[tune.{name}]"
+        if not isinstance(given, Mapping):
+            errors.add(f"[tune] {name}: must be a table of keys")
+            continue
+        later = dict.fromkeys(given, place)
+        if name == "variables" and {TIMES, COUNT} <= given.keys():
+            del later[COUNT]
+        for key, value in given.items():
+            with errors.collect():
+                later.pop(key, None)
+                _check_varies(place, key, TUNABLE, "tuned", recorded)
+                if key in varied:
+                    raise InputError(
+                        f"{place} {key}: is in {varied[key]} already (drop one of them)"
+                    )
+                others = {**varied, **later}
+                for other in sorted(alternative_keys(key) & others.keys()):
+                    text = f"conflicts with {other} in {others[other]} (give one of them)"
+                    raise InputError(f"{place} {key}: {text}")
+                table[name] = table[name] | {key: read(value, key, f"{place} {key}")}
+    if "variables" in table and not table["variables"]:
+        errors.add(f"{_VARIABLES}: has no key to tune (give one with its range)")
     errors.raise_all()
+    times, count = (table.get("variables", {}).get(key) for key in (TIMES, COUNT))
+    for number in (count.candidates or (count.fixed,)) if count and times else ():
+        if isinstance(times, tuple) and number > len(times):
+            text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
+            raise InputError(f"{_VARIABLES} {COUNT}: {text}")
     return table
+
+
+def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
+    """Return the range of a key: of its number, of each entry of its list, or its candidates."""
+    kind = _type_of(key)
+    entries = _entry_types(kind)
+    if not isinstance(value, tuple):
+        if entries and isinstance(value, Mapping) and value.keys() & {"low", "high"}:
+            raise InputError(f"{place}: needs a list with one range per entry, not one range")
+        return _check_range(value, kind, place)
+    if not entries:
+        raise InputError(f"{place}: needs one range, not a list (the key is one number)")
+    if not value:
+        raise InputError(f"{place}: must not be empty")
+    if Ellipsis not in entries and len(value) != len(entries):
+        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
+    errors, ranges = ErrorCollector(), list[Range]()
+    for i, entry in enumerate(value):
+        with errors.collect():
+            ranges.append(_check_range(entry, entries[0], f"{place}[{i}]"))
+            if ranges[-1].candidates is not None:
+                text = "must be of the whole key, not of one entry"
+                raise InputError(f"{place}[{i}].candidates: {text}")
+    errors.raise_all()
+    return tuple(ranges)
+
+
+def _check_range(value: Any, kind: Any, place: str) -> Range:
+    """Return a range with values of a type."""
+    range_of: Any = Range
+    found = _check(range_of[kind, kind].model_validate, value, place, forms=_RANGES)
+    return Range.model_construct(**dict(found))  # a class that other processes have
+
+
+def _entry_types(kind: Any) -> tuple[Any, ...]:
+    """Return the types of the entries of a list key; empty for other keys."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is tuple:
+        return arguments
+    if origin is Annotated:
+        return _entry_types(arguments[0])
+    if origin in (Union, UnionType):
+        return next(filter(None, map(_entry_types, arguments)), ())
+    return ()
 
 
 def without_gone_settings(tables: TomlTable) -> TomlTable:
@@ -493,128 +518,3 @@ def describe_gone_settings(tables: TomlTable) -> list[str]:
     found = [key for key in _GONE_SETTINGS if key in tables.get("tune", ())]
     text = gone.LINE.format("drop it: only the search 'covariance' read it")
     return [f"[tune] {', '.join(found)}: {text}."] if found else []
-
-
-def _read_baseline(table: TomlTable, swept: Mapping[str, str]) -> TomlTable:
-    values, errors = {}, ErrorCollector()
-    remaining = dict.fromkeys(table, _BASELINE)
-    for key, value in table.items():
-        del remaining[key]
-        with errors.collect():
-            _check_tunable(key, swept, _BASELINE)
-            _check_alternatives(key, remaining, _BASELINE)
-            values[key] = check_value(value, key, f"{_BASELINE} {key}")
-    errors.raise_all()
-    return values
-
-
-def _read_ranges(table: TomlTable, swept: Mapping[str, str]) -> Ranges:
-    if not table:
-        raise InputError(f"{_VARIABLES}: has no key to tune (give one with its range)")
-    ranges: Ranges = {}
-    errors = ErrorCollector()
-    for key, value in table.items():
-        with errors.collect():
-            _check_tunable(key, swept, _VARIABLES)
-            ranges[key] = _read_key_range(key, value)
-    errors.raise_all()
-    times, count = ranges.get(TIMES), ranges.get(COUNT)
-    tables = dict.fromkeys(ranges, _VARIABLES)
-    if isinstance(times, tuple) and isinstance(count, Range):
-        for number in count.candidates or (count.fixed,):
-            if number > len(times):
-                text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
-                raise InputError(f"{_VARIABLES} {COUNT}: {text}")
-        del tables[COUNT]
-    for key in tables:
-        _check_alternatives(key, tables, _VARIABLES)
-    return ranges
-
-
-def _check_tunable(key: str, swept: Mapping[str, str], place: str) -> None:
-    """Refuse a key that is unknown, that cannot be tuned, or that the study varies."""
-    section = SECTION_OF.get(key)
-    if section is None:
-        known = [name for name, home in SECTION_OF.items() if home in TUNABLE]
-        raise InputError(f"{place} {key}: {unknown_key_error(key, known)}")
-    if section not in TUNABLE:
-        raise InputError(f"{place} {key}: cannot be tuned (it is a key of [{section}])")
-    if key in swept:
-        raise InputError(f"{place} {key}: is in {swept[key]} already (drop one of them)")
-    _check_alternatives(key, swept, place)
-
-
-def _check_alternatives(key: str, table_of: Mapping[str, str], place: str) -> None:
-    for other in sorted(alternative_keys(key) & table_of.keys()):
-        text = f"conflicts with {other} in {table_of[other]} (give one of them)"
-        raise InputError(f"{place} {key}: {text}")
-
-
-def _read_key_range(key: str, value: Any) -> Range | tuple[Range, ...]:
-    """Return the range of a key: of its number, of each entry of its list, or its candidates."""
-    place, field = f"{_VARIABLES} {key}", SECTIONS[SECTION_OF[key]].model_fields[key]
-    entries = _entry_types(field.annotation)
-    if not isinstance(value, tuple):
-        found = _parse_range(place, value)
-        if found.is_free and entries:
-            raise InputError(f"{place}: needs a list with one range per entry, not one range")
-        return _check_range(found, value, place, lambda one, at: check_value(one, key, at))
-    if not entries:
-        raise InputError(f"{place}: needs one range, not a list (the key is one number)")
-    if not value:
-        raise InputError(f"{place}: must not be empty")
-    if Ellipsis not in entries and len(value) != len(entries):
-        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    validate: _Check = TypeAdapter(entries[0], config=_STRICT).validate_python
-
-    def read_entry(entry: Any, at: str) -> Range:
-        found = _parse_range(at, entry)
-        if found.candidates is not None:
-            raise InputError(f"{at}.candidates: must be of the whole key, not of one entry")
-        return _check_range(found, entry, at, lambda one, end: _check_type(one, validate, end))
-
-    return _check_each(value, place, read_entry)
-
-
-def _parse_range(place: str, value: Any) -> Range:
-    """Return a range of the file, whose values are not checked."""
-    if not isinstance(value, Mapping):
-        raise InputError(f"{place}: must be a table such as {{ low = 0, high = 1 }}, not {value!r}")
-    for name in value:
-        if name not in _RANGE_KEYS:
-            raise InputError(f"{place}.{name}: unknown key{suggest_closest(name, _RANGE_KEYS)}")
-    try:
-        return Range.model_validate(({"scale": "linear"} if "low" in value else {}) | dict(value))
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = first["loc"][0] if first["loc"] else first.get("ctx", {}).get("key")
-        suffix = f".{name}{format_list_index(first)}" if name else ""
-        raise InputError(f"{place}{suffix}: {explain_error(first)}") from None
-
-
-def _check_range(
-    found: Range, given: TomlTable, place: str, check: Callable[[Any, str], Any]
-) -> Range:
-    """Return a range with its given values as a check of (value, place) returns them."""
-    if found.candidates is not None:
-        values = _check_each(given["candidates"], f"{place}.candidates", check)
-        if len(set(values)) < len(values):
-            raise InputError(f"{place}.candidates: repeats a value (drop one)")
-        return found.model_copy(update={"candidates": values})
-    ends = ("low", "high") if found.is_free else ("fixed",)
-    checked = {name: check(given[name], f"{place}.{name}") for name in ends}
-    if found.is_free and any(isinstance(end, int) for end in checked.values()):
-        raise InputError(f"{place}: must be whole numbers (list them as candidates)")
-    return found if found.is_free else found.model_copy(update=checked)
-
-
-def _entry_types(annotation: Any) -> tuple[Any, ...]:
-    """Return the types of the entries of a list key; empty for other keys."""
-    origin, arguments = get_origin(annotation), get_args(annotation)
-    if origin is tuple:
-        return arguments
-    if origin is Annotated:
-        return _entry_types(arguments[0])
-    if origin in (Union, UnionType):
-        return next((types for part in arguments if (types := _entry_types(part))), ())
-    return ()

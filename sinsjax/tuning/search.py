@@ -25,7 +25,7 @@ from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, study_to_tables
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.study.sweep import sweep_dimensions
+from sinsjax.study.sweep import Sweep
 from sinsjax.study.sweep_columns import Dimension
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
@@ -299,7 +299,7 @@ def derive_study(
 
 
 def _study_cases(study: Study) -> Dimension:
-    return sweep_dimensions(study.cases, [], {})[0] if study.cases else {}
+    return Sweep(cases=study.cases).dimensions[0] if study.cases else {}
 
 
 def _unused_axis_name(study: Study) -> str:

@@ -364,3 +364,10 @@ def test_keys_command_explains_key_and_section(
     assert code == 2 and "did you mean reset_count?" in error
     code, _, error = sinsjax("keys", "axes")
     assert code == 2 and "[axes]: has the keys of other sections (`[axes] KEY = [...]`" in error
+
+
+def test_copy_of_a_shipped_study_names_what_the_user_has(sinsjax):
+    assert sinsjax("init", "paper1_resets", "-o", "mine.toml")[0] == 0
+    text = Path("mine.toml").read_text()
+    assert "sinsjax run mine.toml" in text and "see paper1_readings and" in text
+    assert "configs/" not in text.partition("\n")[2]

@@ -3,6 +3,8 @@
 import pytest
 
 from sinsjax.cli import loop_gains
+from sinsjax.study.schema import EarthSection
+from sinsjax.value_types import otherwise
 
 PAPER = {"gravity": 9.8, "radius": 6378165.0}
 
@@ -15,3 +17,8 @@ def test_design_gives_gains_and_roots_of_paper_loops():
     assert float(k3[1]) == pytest.approx(2 * 0.02**3 / 9.8, rel=5e-4)
     assert roots.rows[0][1] == "-0.02, -0.02 +- 0.02j"
     assert roots.rows[1][1:] == ["-0.01 +- 0.01j (double)", "299.6", "628.3"]
+
+
+def test_command_has_the_radius_of_the_earth_section(sinsjax):
+    code, told, _ = sinsjax("gains")
+    assert code == 0 and f"R = {otherwise(EarthSection, 'radius_m'):.0f} m" in told

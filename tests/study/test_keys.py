@@ -297,7 +297,7 @@ def test_line_names_keys_whose_condition_does_not_hold(load):
 
 
 def test_tuned_key_that_no_method_reads_is_refused(load):
-    template = tomllib.loads(files.shipped_text("tune"))
+    template = tomllib.loads(files.shipped_text("tune", Path("tune.toml")))
     to_compass = {"alignment.method": "compass"}
     with pytest.raises(InputError, match=r"\[tune.variables\] p0_yaw_deg: .*compass"):
         load(template, to_compass)
