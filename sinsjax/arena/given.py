@@ -94,12 +94,7 @@ def true_attitudes_at_records(batch: Batch) -> Quat:
 
 
 def judge(batch: Batch, given: GivenAttitudes) -> Outcome:
-    """Return the outcomes of all runs of a batch, by draw and variant.
-
-    Args:
-        batch: of the program's method.
-        given: attitudes of draws * variants runs.
-    """
+    """Return the outcomes of all runs of a batch of the program, by draw and variant."""
     outcome = _judge(batch.spec, batch.environment, _tile(batch), given)
     return jax.tree.map(np.asarray, outcome)
 

@@ -11,6 +11,15 @@ _EULER = {
     "enu": "yaw counter-clockwise from north, C_b^n = Rz(yaw) Rx(pitch) Ry(roll)",
     "ned": "yaw clockwise from north, C_b^n = Rz(yaw) Ry(pitch) Rx(roll)",
 }
+_COLUMNS = {
+    "psins": "blanks between columns, no names: wx wy wz vx vy vz t",
+    "csv": "commas between columns, names in the first line, with units",
+    "parquet": "Parquet, names with units",
+}
+_UNITS = {
+    "rates": "rad/s and m/s^2, means over each sample",
+    "increments": "rad and m/s per sample",
+}
 
 
 def describe_export(
@@ -26,17 +35,7 @@ def describe_export(
         frame: of records and attitudes.
         blind: whether the truth is left out.
     """
-    rates = quantity == "rates"
-    units = "rad/s and m/s^2, means over each sample" if rates else "rad and m/s per sample"
-    columns = {
-        "psins": "blanks between columns, no names: wx wy wz vx vy vz t",
-        "csv": "commas between columns, names in the first line, with units",
-        "parquet": "Parquet, names with units",
-    }[format]
     truth = "truth.parquet, attitude at record times; keep it from your program"
-    if blind:
-        truth = "left out (--blind)"
-    at_rest = "+g" if frame == "enu" else "-g"
     return f"""\
 sinsjax export of the study {study!r}, digest {digest}
 
@@ -46,9 +45,10 @@ initial.csv   one row per run to align: run_id (with gaps; do not renumber), dra
               the record in `file`, which several runs may share.
 study.toml    the study: Earth ([earth]: rate and model), sensor noise and biases ([sensors], for Q
               and P0), motion. Its true velocity is that of the motion: none on a still base.
-records       {RECORDS}/: {columns}.
-              Gyros and accelerometers in {units};
-              time in s at the end of each sample. Specific force: at rest z reads {at_rest}.
+records       {RECORDS}/: {_COLUMNS[format]}.
+              Gyros and accelerometers in {_UNITS[quantity]};
+              time in s at the end of each sample. Specific force: at rest z reads \
+{"+g" if frame == "enu" else "-g"}.
               Rotation vector of a sample: a + (a0 x a)/12, with the angles a of the sample and a0
               of the one before; velocity: v + a x v/2 + a x (a x v)/6 + (a0 x v + v0 x a)/12.
               Vibration is included: the unit integrates its own coning and sculling.
@@ -56,15 +56,15 @@ axes          {_AXES[frame]}.
 angles        deg; {_EULER[frame]}.
               Pitch is positive with the front up, roll with the right side down.
 quaternion    q_w q_x q_y q_z from body to navigation frame, scalar first.
-truth         {truth}.
+truth         {"left out (--blind)" if blind else truth}.
 
 Return one CSV or Parquet file with, for each run, a row at `end_s` (to half a sample) or a history:
   study        the digest above in a column, or in a first line `# study = {digest}`
   run_id       of initial.csv (or draw_id and variant_id)
   time_s       on the clock of the records
-  yaw_deg, pitch_deg, roll_deg    (or _rad; heading_deg is clockwise), or q_w, q_x, q_y, q_z
-  sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg    optional, 1 sigma (or _rad, _arcmin)
-`# frame = enu` or `# frame = ned` states another convention than that of this export. A run without
-a row at its end is a failure and counts as 180 deg.
+  yaw_deg, pitch_deg, roll_deg    or q_w, q_x, q_y, q_z
+  sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg    optional, 1 sigma
+A line `# frame = enu` or `# frame = ned` states another convention than that of this export. A run
+without a row at its end is a failure and counts as 180 deg.
 Then: sinsjax score DIR results.csv --name my_filter
 """

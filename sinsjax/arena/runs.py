@@ -28,60 +28,22 @@ ANY_PROGRAM = "external"
 
 
 class ProgramPart(NamedTuple):
-    """Runs of a program that the engine judges together.
+    """Variants of a program that the engine judges together, in one environment.
 
     Attributes:
-        number: of the part among those of `ProgramRuns.scenario`.
+        number: number of the part in `ProgramRuns.scenario`.
         ids: (variants,) its variants in the study with the program.
-        places: (tasks,) the first variant of each task, as places in ``ids``.
-        task: (variants,) the task of each variant.
-        points: values of the `condition_keys` of each task.
-        environment: number of the environment, whose records it reads.
+        point: (variants,) number of their conditions in `ProgramRuns.points`.
     """
 
     number: int
     ids: NDArray
-    places: NDArray
-    task: NDArray
-    points: list[tuple[Any, ...]]
-    environment: int
-
-
-class Tasks(NamedTuple):
-    """Runs that a program is asked for, by run_id; leaves (runs,).
-
-    Attributes:
-        environment: number of the environment.
-        draw: number of the draw.
-        variant: first variant with its conditions in the study without the program.
-        run_id: of that variant.
-        point: place of its conditions in `ProgramRuns.points`.
-    """
-
-    environment: NDArray
-    draw: NDArray
-    variant: NDArray
-    run_id: NDArray
     point: NDArray
-
-
-class Point(NamedTuple):
-    """Conditions of a run.
-
-    Attributes:
-        number: of the point.
-        variant: the first one with these conditions in the study without the program.
-        has_start: whether a run starts from a given attitude.
-    """
-
-    number: int
-    variant: int
-    has_start: bool
 
 
 @dataclass(frozen=True)
 class ProgramRuns:
-    """The runs of a program on a simulated study.
+    """The runs of a program on a simulated study, by draw, then by conditions.
 
     Attributes:
         source: the study without the program.
@@ -108,63 +70,54 @@ class ProgramRuns:
         return condition_keys(self.source)
 
     @cached_property
-    def points(self) -> dict[tuple[Any, ...], "Point"]:
-        """The conditions of the runs: data and start."""
-        acts = ~self.source.without_effect("phi_u0_deg")
-        found: dict[tuple[Any, ...], Point] = {}
-        for variant, values in enumerate(_points(self.source, self.keys)):
-            point = found.setdefault(values, Point(len(found), variant, has_start=False))
-            found[values] = point._replace(has_start=point.has_start or bool(acts[variant]))
-        return found
+    def points(self) -> list[tuple[Any, ...]]:
+        """The conditions of the runs: data and start, as values of `keys`."""
+        return list(dict.fromkeys(_points(self.source, self.keys)))
+
+    @cached_property
+    def variants(self) -> NDArray:
+        """(points,) The first variant with each conditions in the study without the program."""
+        values = _points(self.source, self.keys)
+        return np.array([values.index(point) for point in self.points])
+
+    @cached_property
+    def has_start(self) -> NDArray:
+        """(points,) Whether a run starts from a given attitude."""
+        starts, values = ~self.source.without_effect("phi_u0_deg"), _points(self.source, self.keys)
+        given = {point for point, starting in zip(values, starts, strict=True) if starting}
+        return np.array([point in given for point in self.points])
+
+    @cached_property
+    def environments(self) -> NDArray:
+        """(points,) Number of the environment, each of which has its own records."""
+        kept = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
+        values = [tuple(point[i] for i in kept) for point in self.points]
+        distinct = list(dict.fromkeys(values))
+        return np.array([distinct.index(value) for value in values])
 
     @cached_property
     def parts(self) -> list[ProgramPart]:
         """The parts of the program, some of which may have the same conditions."""
-        points = _points(self.study, self.keys)
-        of_environment = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
+        numbers = {point: number for number, point in enumerate(self.points)}
+        point = np.array([numbers.get(p, -1) for p in _points(self.study, self.keys)])
         methods = self.study.values("method")
-        environments: dict[tuple[Any, ...], int] = {}
-        found = []
-        for number, ids in enumerate(self.scenario.variant_ids):
-            if methods[ids[0]] != self.name:
-                continue
-            tasks: dict[Any, int] = {}
-            task = np.array([tasks.setdefault(points[i], len(tasks)) for i in ids])
-            places = np.unique(task, return_index=True)[1]
-            key = tuple(points[ids[0]][i] for i in of_environment)
-            environment = environments.setdefault(key, len(environments))
-            found.append(ProgramPart(number, ids, places, task, list(tasks), environment))
-        return found
+        return [
+            ProgramPart(number, ids, point[ids])
+            for number, ids in enumerate(self.scenario.variant_ids)
+            if methods[ids[0]] == self.name
+        ]
 
     def part_of(self, environment: int) -> ProgramPart:
-        """Return the first part of an environment."""
-        return next(part for part in self.parts if part.environment == environment)
+        """Return a part in an environment."""
+        return next(part for part in self.parts if self.environments[part.point[0]] == environment)
 
-    @cached_property
-    def environments(self) -> int:
-        """Number of environments, each with its own records."""
-        return 1 + max(part.environment for part in self.parts)
-
-    def tasks(self, draws: range) -> Tasks:
-        """Return the runs on some draws, one for each point and draw."""
-        environment_of = {p: part.environment for part in self.parts for p in part.points}
-        numbers = np.array([environment_of[point] for point in self.points])
-        variants = np.array([point.variant for point in self.points.values()])
-        draw = np.repeat(list(draws), len(self.points))
-        run_id = draw * self.source.n_variants + np.tile(variants, len(draws))
-        columns = (
-            np.tile(numbers, len(draws)),
-            draw,
-            np.tile(variants, len(draws)),
-            run_id,
-            np.tile(np.arange(len(self.points)), len(draws)),
-        )
-        order = np.argsort(run_id, kind="stable")
-        return Tasks(*(column[order] for column in columns))
+    def places(self, part: ProgramPart, draws: range, first: int) -> NDArray:
+        """Return the places of the runs of a batch among all runs of the draws from ``first``."""
+        return np.add.outer((np.array(draws) - first) * len(self.points), part.point).ravel()
 
     def batch(self, part: ProgramPart, draws: range) -> Batch:
-        """Return the runs of a part with its tasks as variants."""
-        return self.scenario.batch(part.number, draws, variants=part.places)
+        """Return the runs of a part."""
+        return self.scenario.batch(part.number, draws)
 
     @property
     def samples(self) -> int:
@@ -179,12 +132,8 @@ class ProgramRuns:
 
 def condition_keys(study: Study) -> list[str]:
     """Return the swept keys that decide the data or the start of a run."""
-
-    def acts(key: str) -> bool:
-        return key not in INITIAL_KEYS or not study.without_effect(key).all()
-
     swept = (key for key in study.axis_keys if is_condition_key(key))
-    return [key for key in swept if acts(key)]
+    return [k for k in swept if k not in INITIAL_KEYS or not study.without_effect(k).all()]
 
 
 def _points(study: Study, keys: list[str]) -> list[tuple[Any, ...]]:
@@ -222,43 +171,30 @@ def add_program(study: Study, name: str) -> Study:
     for section in ("tune", "stop_when"):
         tables.pop(section, None)
     tables["study"]["external"] = [*(study.study.external or ()), name]
-    _add_method(tables, name)
-    return study_from_dict(tables, study.name)
-
-
-def _add_method(tables: TomlTable, name: str) -> None:
-    """Add a method to the axis of methods, and for each condition that varies with it."""
     axes = dict(tables.get("axes", {}))
-    joint = next((key for key, values in axes.items() if "method" in _keys_of(values)), None)
+    joint = next((k for k, v in axes.items() if isinstance(v, dict) and "method" in v), None)
     if any("method" in case for case in tables.get("cases", ())):
-        rows = [dict(case) for case in tables["cases"]]
-        tables["cases"] = [*rows, *_rows_of_program(rows, name)]
-        return
-    if joint is not None and isinstance(axes[joint], dict):
+        tables["cases"] = _with_program([dict(case) for case in tables["cases"]], name)
+    elif joint is not None:
         columns = axes[joint]
         rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        rows += _rows_of_program(rows, name)
+        rows = _with_program(rows, name)
         axes[joint] = {key: [row[key] for row in rows] for key in columns}
     elif "method" in axes:
         axes["method"] = [*axes["method"], name]
     else:
-        method = tables["alignment"].pop("method")
-        axes = {"method": [method, name], **axes}
-    tables["axes"] = axes
+        axes = {"method": [tables["alignment"].pop("method"), name], **axes}
+    return study_from_dict(tables | {"axes": axes}, study.name)
 
 
-def _keys_of(values: Any) -> Any:
-    return values if isinstance(values, dict) else ()
-
-
-def _rows_of_program(rows: list[TomlTable], name: str) -> list[TomlTable]:
-    """Return a row of the program for each distinct condition of some rows."""
+def _with_program(rows: list[TomlTable], name: str) -> list[TomlTable]:
+    """Return rows of methods, and a row of the program for each distinct condition of them."""
     first: dict[Any, TomlTable] = {}
     for row in rows:
         condition = tuple((key, row[key]) for key in row if is_condition_key(key))
         first.setdefault(condition, row)
-    labels = {c: name if len(first) == 1 else f"{name}, {r.get('case')}" for c, r in first.items()}
-    return [
-        row | {"method": name} | ({"case": labels[condition]} if "case" in row else {})
-        for condition, row in first.items()
-    ]
+    more = []
+    for row in first.values():
+        label = name if len(first) == 1 else f"{name}, {row.get('case')}"
+        more.append(row | {"method": name} | ({"case": label} if "case" in row else {}))
+    return [*rows, *more]

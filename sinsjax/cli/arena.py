@@ -47,8 +47,9 @@ def export(
 
     Example: sinsjax export paper1_resets -o draws --format psins
     """
-    from sinsjax.arena.export import ExportOptions, plan_export, write_export
+    from sinsjax.arena.export import plan_export, write_export
     from sinsjax.cli.progress import stop_on_signal
+    from sinsjax.errors import StudyInterrupted
     from sinsjax.execution.directory import results_path
     from sinsjax.execution.progress import RunProgress, show_progress
     from sinsjax.platform import runtime
@@ -58,21 +59,16 @@ def export(
     runtime.configure()
     study = load_study(config, parse_changes(changes or ()))
     kind, what, axes = (word.lower() for word in (format_, quantity, frame or "enu"))
-    options = ExportOptions(_parse_draws(draws), kind, what, axes, blind)
-    plan, directory, console = plan_export(study, options), results_path(out), plain_console()
+    plan = plan_export(study, _parse_draws(draws), kind, what, axes, blind)
+    directory, console, total = results_path(out), plain_console(), plan.n_records
     with stop_on_signal(console) as stop, show_progress(console, study.name) as show:
-
-        def on_record(done: int, total: int) -> None:
-            show(RunProgress(done, total, None, 0, "records"))
-
-        write_export(
-            plan,
-            directory,
-            overwrite=overwrite,
-            on_begin=lambda: print_line(console, f"{plan.text}."),
-            on_record=on_record,
-            is_stopped=stop.is_set,
-        )
+        for done in write_export(plan, directory, overwrite=overwrite):
+            if done == 0:
+                print_line(console, f"{plan.text}.")
+            else:
+                show(RunProgress(done, total, None, 0, "records"))
+            if stop.is_set() and done < total:
+                raise StudyInterrupted(f"{done:,} of {total:,} records are in {directory}")
     print_line(console, f"{directory}: read README.txt; then")
     print_line(console, f"sinsjax score {shlex.quote(str(directory))} RESULTS --name PROGRAM")
 

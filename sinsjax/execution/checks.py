@@ -17,8 +17,7 @@ from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
 from sinsjax.records import Record, RecordLayout, require_span
-from sinsjax.records.anomalies import report_anomalies
-from sinsjax.records.plausibility import StationaryValues, check_stationary
+from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.filter_noise import noise_ratios_by_sensor, surge_noise_ratios
@@ -58,7 +57,7 @@ def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
     hidden_north_warning = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
-    lines += [*useless_methods(study), *_band_warnings(study)]
+    lines += [*useless_methods(study), *band_warnings(study)]
     return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
 
 
@@ -217,9 +216,13 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
     )
     used, hides_north = _used_spans(study, record), ""
     for anomaly in report_anomalies(record.anomalies, used):
-        if anomaly.is_certain and not section.trust:
-            raise InputError(f"{record.source}: {anomaly.text} ({_TRUST_HINT})")
-        lines.append(f"{record.source}: {anomaly.text}")
+        text = f"{record.source}: {anomaly.text}"
+        if anomaly.hides_north:
+            hides_north = text
+        elif anomaly.is_certain and not section.trust:
+            raise InputError(f"{text} ({_TRUST_HINT})")
+        else:
+            lines.append(text)
     constant_channels = [
         anomaly.text
         for anomaly in record.anomalies
@@ -230,7 +233,7 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
         where = f"{record.source}: {begin_s} to {end_s} s"
         for finding in check_stationary(record, (begin, end), layout, expected):
             if finding.hides_north:
-                hides_north = f"{where}: {finding.text}"
+                hides_north = hides_north or f"{where}: {finding.text}"
             elif finding.is_certain and not section.trust:
                 # A constant channel may be the cause, and only this error is shown.
                 text = "; ".join([finding.text, *constant_channels])
@@ -311,7 +314,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     return merged
 
 
-def _band_warnings(study: Study) -> Iterator[str]:
+def band_warnings(study: Study) -> Iterator[str]:
     """Warn of a heading band that the sensors' white noise exceeds, 1 sigma, in every variant.
 
     At most two thirds of the runs can end in such a band. The best variant counts, with all data of

@@ -143,23 +143,8 @@ def _write_rerun(target: Path, run: Rerun, study: Study) -> None:
         with atomic_write(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
     with atomic_write(target / "curve.png") as file:
-        file.write(plots.render_png(_plot_rerun(run, study)))
-
-
-def _plot_rerun(run: Rerun, study: Study) -> Any:
-    run_id = run.row["run_id"][0].as_py()
-    title = f"{study.name}, run {run_id}"
-    ensembles = plots.group_curves(run.curve, {f"run {run_id}": [run_id]})
-    if run.curve["phi_u_arcmin"].null_count == run.curve.num_rows:
-        return plots.draw_attitude(ensembles, title)
-    floor_arcmin = run.row["floor_arcmin"][0].as_py()
-    return plots.draw_misalignment(
-        ensembles,
-        title,
-        floors=None if floor_arcmin is None else {"u": floor_arcmin},
-        resets_s=run.row["reset_times_s"][0].as_py(),
-        with_sigma=run.curve["sigma_u_arcmin"].null_count < run.curve.num_rows,
-    )
+        title = f"{study.name}, run {run.row['run_id'][0].as_py()}"
+        file.write(plots.render_png(plots.plot_curves(run.curve, run.row, title=title)))
 
 
 def _format_row(row: pa.Table) -> list[str]:

@@ -4,23 +4,17 @@ Every function returns a new matplotlib `Figure`; `render_png` converts it to by
 on the figure. Nothing here changes matplotlib's global state.
 """
 
-from sinsjax.plots.comparison import draw_along_axis, is_informative, plot_compare
+from sinsjax.plots.comparison import draw_along_axis, plot_compare
 from sinsjax.plots.consistency import ConsistencyLine, draw_consistency, plot_belief
 from sinsjax.plots.curves import (
     Ensemble,
     Line,
     draw_attitude,
     draw_heading_errors,
+    draw_level_errors,
     draw_mean_and_band,
-    draw_misalignment,
     group_curves,
     plot_curves,
-)
-from sinsjax.plots.grids import (
-    CellMarks,
-    GridAxis,
-    MapQuantity,
-    draw_heat_maps,
 )
 from sinsjax.plots.labels import axis_label, format_setting
 from sinsjax.plots.maps import plot_map
@@ -32,9 +26,6 @@ __all__ = [
     "ConsistencyLine",
     "Ensemble",
     "Line",
-    "CellMarks",
-    "GridAxis",
-    "MapQuantity",
     "draw_along_axis",
     "draw_attitude",
     "draw_consistency",
@@ -42,14 +33,12 @@ __all__ = [
     "line_colour",
     "draw_mean_and_band",
     "group_curves",
-    "draw_heat_maps",
     "axis_label",
-    "draw_misalignment",
+    "draw_level_errors",
     "plot_belief",
     "plot_compare",
     "plot_curves",
     "plot_map",
     "render_png",
     "format_setting",
-    "is_informative",
 ]

@@ -1,4 +1,4 @@
-"""Figures of curves over time: misalignment, attitude, covariance against the true error."""
+"""Figures of curves over time: heading error, level errors, and attitude."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,16 +22,7 @@ from sinsjax.analysis.tables import (
 )
 from sinsjax.errors import InputError
 from sinsjax.plots.labels import describe_point
-from sinsjax.plots.style import (
-    GREY,
-    add_legend_below,
-    label_line_ends,
-    line_colour,
-    set_asinh_scale,
-    set_log_scale,
-    with_style,
-    write_line_names,
-)
+from sinsjax.plots.style import GREY, add_legend_below, line_colour, set_log_scale, with_style
 
 MAX_LINES = 6
 """Lines of a figure at most."""
@@ -47,14 +38,9 @@ _LEAST_FLOOR = 0.01  # arcmin; a smaller bias floor is not drawn
 _DIPS = 0.01  # quantile of the errors below which an axis of magnitudes ends
 _SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
 _FAINT = 0.22  # opacity of a band
-_LINEAR = (0.1, 10.0)  # arcmin; least and most up to which an asinh axis is about linear
-_WIDE = 12.0  # times the least end of a line; beyond it a linear axis would hide that end
-_CROWDED = 300.0  # times the linear part; beyond it there is no room for a tick at its edge
-_NAMES = {
-    "e": "level error,\neast (arcmin)",
-    "n": "level error,\nnorth (arcmin)",
-    "u": "heading error\n(arcmin)",
-}
+_WIDE = 12.0  # times the end of a line; beyond it a linear axis would hide that end
+_LEVEL_NAMES = {"e": "level error,\neast (arcmin)", "n": "level error,\nnorth (arcmin)"}
+_ANGLES = {"pitch": "e", "roll": "n", "yaw": "u"}
 
 
 class Ensemble(NamedTuple):
@@ -109,15 +95,7 @@ def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) ->
     return grouped
 
 
-class Extent(NamedTuple):
-    """Lower and upper edge of a line's band over time, or of the filter's 1 sigma."""
-
-    time_s: NDArray
-    low: NDArray
-    high: NDArray
-
-
-def draw_mean_and_band(axes: Axes, line: Line) -> Extent:
+def draw_mean_and_band(axes: Axes, line: Line) -> None:
     """Draw a line's mean over the runs and the band that contains 95 % of them.
 
     Args:
@@ -126,13 +104,10 @@ def draw_mean_and_band(axes: Axes, line: Line) -> Extent:
     """
     known = np.isfinite(line.values).all(axis=0)
     time, values = line.time_s[known], line.values[:, known]
-    mean = values.mean(axis=0)
-    axes.plot(time, mean, line.style, color=line.colour, label=line.label)
-    if len(values) == 1 or not known.any():
-        return Extent(time, mean, mean)
-    low, high = np.quantile(values, BAND, axis=0)
-    axes.fill_between(time, low, high, color=line.colour, alpha=_FAINT, linewidth=0)
-    return Extent(time, np.minimum(low, mean), np.maximum(high, mean))
+    axes.plot(time, values.mean(axis=0), line.style, color=line.colour, label=line.label)
+    if len(values) > 1 and known.any():
+        low, high = np.quantile(values, BAND, axis=0)
+        axes.fill_between(time, low, high, color=line.colour, alpha=_FAINT, linewidth=0)
 
 
 def plot_curves(
@@ -171,43 +146,33 @@ def plot_curves(
         'Heading error after 2 s: 2 arcmin'
     """
     table = to_arrow_table(curves)
-    keys = to_key_list(by)
-    found = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
-    has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in found)
-    angles = [f"{angle}_deg" for angle in ("pitch", "roll", "yaw")]
-    needed = found if has_truth else [*angles, *(f"sigma_{axis}_arcmin" for axis in "enu")]
-    for name in ("run_id", "time_s", *needed):
+    errors = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
+    has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in errors)
+    attitude = [f"{angle}_deg" for angle in _ANGLES] + [f"sigma_{a}_arcmin" for a in "enu"]
+    for name in ("run_id", "time_s", *(errors if has_truth else attitude)):
         require_column(table, name)
-    summary = (
-        pa.table({"run_id": table["run_id"].unique()}) if runs is None else to_arrow_table(runs)
-    )
-    lines = select_runs_by_line(summary, ["run_id"] if runs is None else keys)
-    run_ids = {*table["run_id"].unique().to_pylist()}
+    every = table["run_id"].unique()
+    summary = pa.table({"run_id": every}) if runs is None else to_arrow_table(runs)
+    lines = select_runs_by_line(summary, ["run_id"] if runs is None else to_key_list(by))
+    run_ids = {*every.to_pylist()}
     lines = {name: ids for name, ids in lines.items() if run_ids.intersection(ids)}
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
     ensembles = group_curves(table, lines)
-    sigmas = [ensemble.columns.get("sigma_e_arcmin") for ensemble in ensembles]
-    with_sigma = any(sigma is not None and np.isfinite(sigma).any() for sigma in sigmas)
     if not has_truth:
         return draw_attitude(ensembles, title or _attitude_title(ensembles))
-    drawn = {
+    rows = {
         name: summary.filter(pc.is_in(summary["run_id"], pa.array(ids)))
         for name, ids in lines.items()
     }
     if level or not _has_values(ensembles, "phi_u_arcmin"):
-        return draw_misalignment(
-            ensembles,
-            title or _misalignment_title(ensembles, "en"),
-            shown="en",
-            resets_s=_reset_times_to_mark(pa.concat_tables(drawn.values())),
-            with_sigma=with_sigma,
-        )
+        resets_s = _reset_times_to_mark(pa.concat_tables(rows.values()))
+        return draw_level_errors(ensembles, title or _error_title(ensembles, "en"), resets_s)
     return draw_heading_errors(
         ensembles,
-        title or _misalignment_title(ensembles, "u"),
-        floors={name: _bias_floor_rms(rows) for name, rows in drawn.items()},
-        resets_s={name: _reset_times_to_mark(rows) for name, rows in drawn.items()},
+        title or _error_title(ensembles, "u"),
+        floors={name: _bias_floor_rms(found) for name, found in rows.items()},
+        resets_s={name: _reset_times_to_mark(found) for name, found in rows.items()},
     )
 
 
@@ -251,13 +216,13 @@ def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
     return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
 
 
-def _misalignment_title(ensembles: Sequence[Ensemble], axes: str) -> str:
+def _error_title(ensembles: Sequence[Ensemble], axes: str) -> str:
     """The error at the end of each line about one or two axes, in words."""
     last = [e.columns[f"phi_{axis}_arcmin"][:, -1] for e in ensembles for axis in axes]
     errors = [float(_rms(values)) for values in last if np.isfinite(values).all()]
-    end = max(float(e.time_s[-1]) for e in ensembles)
     if not errors:
         return "Misalignment"
+    end = max(float(e.time_s[-1]) for e in ensembles)
     ends = dict.fromkeys(f"{error:.3g}" for error in (min(errors), max(errors)))
     rms = ", rms" if max(map(len, last)) > 1 else ""
     name = "Heading error" if axes == "u" else "Level errors"
@@ -267,6 +232,21 @@ def _misalignment_title(ensembles: Sequence[Ensemble], axes: str) -> str:
 def _rms(values: NDArray) -> NDArray:
     """The root mean square over the runs, the first axis."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _has_values(ensembles: Sequence[Ensemble], column: str) -> bool:
+    return any(np.isfinite(ensemble.columns[column]).any() for ensemble in ensembles)
+
+
+def _name_band(axes: Axes) -> None:
+    """Name the bands of some axes in their legend."""
+    axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
+
+
+def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
+    for i, time in enumerate(times_s):
+        name = "reset" if i == 0 else None
+        axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1, label=name)
 
 
 @with_style
@@ -294,38 +274,34 @@ def draw_heading_errors(
     figure = Figure(figsize=(9.2, 1.4 + (2.6 if len(shown) > 1 else 4.0) * height))
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    drawn = {}
-    for number, (axes, ensemble) in enumerate(zip(grid.flat, shown, strict=False)):
-        drawn[axes] = _draw_heading_error(axes, ensemble, line_colour(number))
+    panels = list(grid.flat)[: len(shown)]
+    values = []
+    for number, (axes, ensemble) in enumerate(zip(panels, shown, strict=True)):
+        values += _draw_heading_error(axes, ensemble, line_colour(number))
         _mark_resets(axes, resets_s[ensemble.label])
-        axes.set_title(fill(ensemble.label, _LETTERS[width]))
-    values = np.concatenate([line.values.ravel() for lines in drawn.values() for line in lines])
-    low = np.quantile(values[values > 0], _DIPS) if (values > 0).any() else 1.0
-    known_floors = [floors[e.label] for e in shown if floors[e.label] > _LEAST_FLOOR]
-    low, high = 0.5 * min([low, *known_floors]), 1.5 * max(values.max(), low)
-    set_log_scale(grid[0, 0], low, high)
-    grid[0, 0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
-    for (axes, lines), ensemble in zip(drawn.items(), shown, strict=True):
-        ends = [(line.label, float(line.values[0, -1]), line.colour) for line in lines]
         if (floor := floors[ensemble.label]) > _LEAST_FLOOR:
-            axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2)
-            ends.append(("bias floor", floor, GREY))
-        write_line_names(axes, ends)
+            axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2, label="bias floor")
+            values.append(np.array([floor]))
+        axes.set_title(fill(ensemble.label, _LETTERS[width]))
+    found = np.concatenate(values)
+    low = float(np.quantile(found[found > 0], _DIPS)) if (found > 0).any() else 1.0
+    low, high = 0.5 * low, 1.5 * max(float(found.max()), low)
+    set_log_scale(panels[0], low, high)
+    panels[0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
+    for axes in list(grid.flat)[len(shown) :]:
+        axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel("|heading error|\n(arcmin)")
-    for axes in grid.flat:
-        axes.set_visible(axes in drawn)
-    for column in grid.T:
-        [*_, lowest] = [axes for axes in column if axes in drawn]
-        lowest.set_xlabel("time (s)")
-        lowest.tick_params(labelbottom=True)
-    add_legend_below(figure, max(drawn, key=lambda axes: len(axes.get_legend_handles_labels()[1])))
+    for axes in panels[-width:]:
+        axes.set_xlabel("time (s)")
+        axes.tick_params(labelbottom=True)
+    add_legend_below(figure, max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[1])))
     return figure
 
 
-def _draw_heading_error(axes: Axes, ensemble: Ensemble, colour: str) -> list[Line]:
-    """Draw the heading error of a line and the filter's 1 sigma, and return both as (1, T) rms."""
-    lines = []
+def _draw_heading_error(axes: Axes, ensemble: Ensemble, colour: str) -> list[NDArray]:
+    """Draw the heading error of a line and the filter's 1 sigma; return the rms of both, (T,)."""
+    found = []
     for name, column, shade, style in (
         ("heading error", "phi_u_arcmin", colour, "-"),
         ("filter's 1 sigma", "sigma_u_arcmin", "black", "--"),
@@ -339,116 +315,50 @@ def _draw_heading_error(axes: Axes, ensemble: Ensemble, colour: str) -> list[Lin
             low, high = np.quantile(values, BAND, axis=0)
             axes.fill_between(time, low, high, color=colour, alpha=_FAINT, linewidth=0)
             _name_band(axes)
-        lines.append(Line(name, time, _rms(values)[None], shade, style))
-        axes.plot(time, lines[-1].values[0], style, color=shade)
-    return lines
+        found.append(_rms(values))
+        axes.plot(time, found[-1], style, color=shade, label=name)
+    return found
 
 
 @with_style
-def draw_misalignment(
-    ensembles: Sequence[Ensemble],
-    title: str,
-    *,
-    shown: str = "enu",
-    floors: Mapping[str, float] | None = None,
-    resets_s: Sequence[float] = (),
-    with_sigma: bool = False,
+def draw_level_errors(
+    ensembles: Sequence[Ensemble], title: str, resets_s: Sequence[float] = ()
 ) -> Figure:
-    """Misalignment about east, north and up over time.
-
-    An axis about which no run has a misalignment is left out.
+    """Draw the errors about east and north over time, dashed the filter's own 1 sigma.
 
     Args:
-        ensembles: one line each, with the phi columns (and sigma, if drawn).
+        ensembles: one line each, with the columns of phi, and of sigma if it is known.
         title: title of the figure.
-        shown: axes to draw, ``e``, ``n`` and ``u``.
-        floors: dash-dotted lines at ``{"e": ..., "n": ..., "u": ...}``, arcmin.
         resets_s: dotted lines at reset times, s.
-        with_sigma: whether to draw the filter's 1 sigma, dashed on both sides of 0.
     """
-    shown = "".join(a for a in shown if _has_values(ensembles, f"phi_{a}_arcmin")) or shown
-    figure = Figure(figsize=(9.2, 8.4 * len(shown) / 3))
+    figure = Figure(figsize=(9.2, 5.6))
     figure.suptitle(title)
-    grid = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    notes = {""}
-    for axes, axis in zip(grid, shown, strict=True):
-        extents = _draw_misalignment_panel(axes, axis, ensembles, with_sigma=with_sigma)
-        if floors and axis in floors:
-            # On top of the lines, or converged lines would hide it.
-            axes.axhline(floors[axis], color="black", ls="-.", lw=0.9, zorder=3, label="bias floor")
-        _mark_resets(axes, resets_s)
-        notes.add(use_asinh_if_wide(axes, extents))
-        axes.set_ylabel(_NAMES[axis])
-    grid[0].set_title(max(notes).strip().capitalize())
-    grid[-1].set(xlabel="time (s)", xlim=(0, max(ensemble.time_s[-1] for ensemble in ensembles)))
-    add_legend_below(figure, grid[-1], _label_line_ends(grid, shown, ensembles))
-    return figure
-
-
-def _has_values(ensembles: Sequence[Ensemble], column: str) -> bool:
-    return any(np.isfinite(ensemble.columns[column]).any() for ensemble in ensembles)
-
-
-def _label_line_ends(panels: NDArray, shown: str, ensembles: Sequence[Ensemble]) -> set[str]:
-    """Write the names of the lines next to the last panel that has room, and return them."""
-    for axes, axis in reversed(list(zip(panels, shown, strict=True))):
-        last = [float(e.columns[f"phi_{axis}_arcmin"][:, -1].mean()) for e in ensembles]
-        ends = [
-            (e.label, value, line_colour(i))
-            for i, (e, value) in enumerate(zip(ensembles, last, strict=True))
-        ]
-        if label_line_ends(axes, ends):
-            return {e.label for e in ensembles}
-    return set()
-
-
-def _name_band(axes: Axes) -> None:
-    """Name the bands of some axes in their legend."""
-    axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
-
-
-def _draw_misalignment_panel(
-    axes: Axes, axis: str, ensembles: Sequence[Ensemble], *, with_sigma: bool
-) -> list[Extent]:
-    extents = []
-    for i, ensemble in enumerate(ensembles):
-        values = ensemble.columns[f"phi_{axis}_arcmin"]
-        extents.append(
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, (axis, name) in zip(panels, _LEVEL_NAMES.items(), strict=True):
+        top, end = 0.0, math.inf
+        for i, ensemble in enumerate(ensembles):
+            values = ensemble.columns[f"phi_{axis}_arcmin"]
             draw_mean_and_band(axes, Line(ensemble.label, ensemble.time_s, values, line_colour(i)))
-        )
-        if with_sigma:
-            sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0)
-            known = np.isfinite(sigma)
-            if not known.any():
-                continue  # a method without a covariance
-            time, sigma = ensemble.time_s[known], sigma[known]
-            for side in (sigma, -sigma):
-                axes.plot(time, side, "--", color=line_colour(i), linewidth=0.9, alpha=0.8)
-            extents.append(Extent(time, -sigma, sigma))
-    if any(len(ensemble.columns[f"phi_{axis}_arcmin"]) > 1 for ensemble in ensembles):
-        _name_band(axes)
-    if with_sigma:
-        axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
-    return extents
-
-
-def use_asinh_if_wide(axes: Axes, extents: Sequence[Extent]) -> str:
-    """Make a wide range of values legible, and return a note for the title."""
-    all_magnitudes = [np.maximum(np.abs(e.low), np.abs(e.high)) for e in extents if e.time_s.size]
-    end = max(
-        min((float(magnitudes[-1]) for magnitudes in all_magnitudes), default=0.0), _LINEAR[0]
-    )
-    top = max((float(magnitudes.max()) for magnitudes in all_magnitudes), default=0.0)
-    if top <= _WIDE * end:
-        return ""
-    linear = 10.0 ** np.floor(np.log10(min(end, _LINEAR[1])))
-    return set_asinh_scale(axes, linear, 10 * linear if top > _CROWDED * linear else linear)
-
-
-def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
-    for i, time in enumerate(times_s):
-        name = "reset" if i == 0 else None
-        axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1, label=name)
+            top = max(top, float(np.nanmax(np.abs(values), initial=0.0)))
+            end = min(end, float(np.abs(values[:, -1]).max()))
+            sigma = ensemble.columns.get(f"sigma_{axis}_arcmin", np.full((1, 1), np.nan))
+            sigma = sigma.mean(axis=0)
+            top = max(top, float(np.nanmax(sigma, initial=0.0)))
+            for side in (sigma, -sigma) if np.isfinite(sigma).any() else ():
+                style: Any = {"color": line_colour(i), "linewidth": 0.9, "alpha": 0.8}
+                axes.plot(ensemble.time_s, side, "--", **style)
+        if any(e.columns[f"phi_{axis}_arcmin"].shape[0] > 1 for e in ensembles):
+            _name_band(axes)
+        if any(line.get_linestyle() == "--" for line in axes.get_lines()):
+            axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
+        _mark_resets(axes, resets_s)
+        if top > _WIDE * max(end, 0.1):  # a linear axis would hide the end
+            axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(max(end, 0.1))))
+            axes.yaxis.set_major_formatter("{x:g}")
+        axes.set_ylabel(name)
+    panels[-1].set(xlabel="time (s)", xlim=(0, max(e.time_s[-1] for e in ensembles)))
+    add_legend_below(figure, panels[-1])
+    return figure
 
 
 @with_style
@@ -459,17 +369,15 @@ def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
         ensembles: one line each: the mean over its runs, and their mean sigma.
         title: title of the figure.
     """
-    angles = {"pitch": "e", "roll": "n", "yaw": "u"}
-    if not _has_values(ensembles, "yaw_deg"):
-        del angles["yaw"]
+    angles = [angle for angle in _ANGLES if _has_values(ensembles, f"{angle}_deg")]
     figure = Figure(figsize=(9.2, 7.2 * len(angles) / 3))
     figure.suptitle(title)
-    panels = figure.subplots(len(angles), 1, sharex=True)
-    for axes, (angle, axis) in zip(panels, angles.items(), strict=True):
+    panels = figure.subplots(len(angles), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, angle in zip(panels, angles, strict=True):
         edges = []
         for i, ensemble in enumerate(ensembles):
             values = ensemble.columns[f"{angle}_deg"].mean(axis=0)
-            sigma = ensemble.columns[f"sigma_{axis}_arcmin"].mean(axis=0) / 60
+            sigma = ensemble.columns[f"sigma_{_ANGLES[angle]}_arcmin"].mean(axis=0) / 60
             axes.plot(ensemble.time_s, values, color=line_colour(i), label=ensemble.label)
             low, high = values - sigma, values + sigma
             axes.fill_between(

@@ -1,8 +1,7 @@
 """Common style of all figures: sizes, a colour-blind-safe palette, and PNG output."""
 
 import io
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -13,12 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.ticker import (
-    FixedLocator,
     LogFormatter,
     LogFormatterMathtext,
     LogLocator,
     NullFormatter,
-    NullLocator,
     StrMethodFormatter,
 )
 from numpy.typing import NDArray
@@ -35,8 +32,6 @@ ABOVE_SCALE = " (tip: above the scale)"
 LETTERS = 7
 """Characters per inch in the title of a figure."""
 
-_SHORT = 26  # characters of a name at its line
-_GAP = 0.1  # least distance of two such names, in heights of the axes
 _SMALL = "#555555"
 _CAP = 0.95  # quantile at which a colour scale ends, if the rest is far beyond it
 _FAR = 1.5  # times the range up to that quantile
@@ -123,89 +118,13 @@ def set_log_scale(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def set_asinh_scale(axes: Axes, linear_width: float, first_tick: float) -> str:
-    """Make a vertical axis logarithmic on both sides of 0, so that a wide range is legible.
-
-    Args:
-        axes: axes with values of either sign.
-        linear_width: magnitude up to which the axis is nearly linear.
-        first_tick: first tick on either side of 0, a power of 10.
-
-    Returns:
-        A note for the title.
-    """
-    decades = 10.0 ** np.arange(math.floor(math.log10(first_tick) + 0.5), 7)
-    axes.set_yscale("asinh", linear_width=linear_width)
-    axes.yaxis.set_major_locator(FixedLocator([*-decades[::-1], 0.0, *decades]))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
-    return "\nlogarithmic far from 0"
-
-
-def add_legend_below(figure: Figure, axes: Axes, omitted: Collection[str] = ()) -> None:
-    """Put the legend of some axes below the whole figure, clear of the data.
-
-    Args:
-        figure: the figure.
-        axes: axes with the entries.
-        omitted: entries to leave out, because `label_line_ends` wrote them at their lines.
-    """
-    entries = zip(*axes.get_legend_handles_labels(), strict=True)
-    entries_shown = [entry for entry in entries if entry[1] not in omitted]
-    if entries_shown:
-        handles, labels = zip(*entries_shown, strict=True)
+def add_legend_below(figure: Figure, axes: Axes) -> None:
+    """Put the legend of some axes below the whole figure, clear of the data."""
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
         room = 12 * figure.get_figwidth()  # characters per line
         columns = max(1, min(len(labels), int(room / (max(map(len, labels)) + 6))))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns)
-
-
-def label_line_ends(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> bool:
-    """Write the name of each line at its right end instead of a legend, if there is room.
-
-    Args:
-        axes: axes with their final vertical range.
-        ends: name, last value and colour of each line.
-
-    Returns:
-        Whether there was room: short names, and ends far enough from each other.
-    """
-    values = np.array([value for _, value, _ in ends])
-    if not 1 < len(ends) or max(len(name) for name, *_ in ends) > _SHORT:
-        return False
-    if not np.isfinite(values).all():
-        return False
-    heights = axes.transAxes.inverted().transform(
-        axes.transData.transform([(0.0, value) for value in values])
-    )[:, 1]
-    inside = (heights > -0.01) & (heights < 1.01)
-    if not inside.all() or np.diff(np.sort(heights)).min() < _GAP:
-        return False
-    write_line_names(axes, ends)
-    return True
-
-
-def write_line_names(axes: Axes, ends: Sequence[tuple[str, float, str]]) -> None:
-    """Write the name of each line at its right end, apart from each other.
-
-    Args:
-        axes: axes with their final vertical range.
-        ends: name, last value and colour of each line.
-    """
-    points = axes.transData.transform([(0.0, value) for _, value, _ in ends])
-    heights = axes.transAxes.inverted().transform(points)[:, 1]
-    order = np.argsort(heights, kind="stable")
-    for lower, upper in zip(order, order[1:], strict=False):
-        heights[upper] = max(heights[upper], heights[lower] + _GAP)
-    heights -= max(0.0, heights.max() - 1)
-    for (name, _, shade), height in zip(ends, heights, strict=True):
-        axes.annotate(
-            name,
-            (1.01, height),
-            xycoords="axes fraction",
-            va="center",
-            color=shade,
-            annotation_clip=False,
-        )
 
 
 @with_style

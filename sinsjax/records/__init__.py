@@ -48,16 +48,6 @@ _READERS = {"psins": read_psins, "csv": read_csv, "parquet": read_parquet}
 def read_record(path: str | Path, layout: RecordLayout) -> Record:
     """Read a record in the layout's format.
 
-    Args:
-        path: the file.
-        layout: format, columns, units and axes of the file.
-
-    Returns:
-        The record, T samples.
-
-    Raises:
-        InputError: the layout or the file is invalid; the message names the key or the row.
-
     Examples:
         >>> from sinsjax.records import PSINS_LAYOUT, write_psins
         >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")

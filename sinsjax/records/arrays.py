@@ -6,19 +6,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
-from sinsjax.records.files import MAX_MAGNITUDE
-from sinsjax.records.layout import (
-    FloatArray,
-    RecordLayout,
-    find_fault,
-    message_key,
-)
+from sinsjax.records.layout import FloatArray, RecordLayout, find_fault, message_key
+from sinsjax.records.reader import Table, check_values, find_columns
 from sinsjax.records.reference import Reference, StoredRecord, reference_from_table
-from sinsjax.records.tables import MISSING_TEXT, ColumnTable, find_columns
 from sinsjax.records.tabular import record_from_table
 
 _ARRAY_LAYOUT = RecordLayout("arrays")
@@ -100,26 +93,23 @@ def record_from_arrays(
         )
     if time is None and rate_hz is None:
         raise InputError(f"{source}: rate_hz: required if time is None")
-    if layout_fault := find_fault(layout):
-        raise InputError(
-            f"{source}: {message_key(_ARRAY_LAYOUT, layout_fault.key)}: {layout_fault.text}"
-        )
-    vectors = {
-        name: _to_vectors(source, name, array) for name, array in (("gyro", gyro), ("accel", accel))
-    }
-    columns = {
-        f"{name}{suffix}": values[:, axis]
-        for name, values in vectors.items()
-        for axis, suffix in enumerate(_AXIS_SUFFIXES)
-    }
+    if fault := find_fault(layout):
+        raise InputError(f"{source}: {message_key(_ARRAY_LAYOUT, fault.key)}: {fault.text}")
     layout = layout._replace(format=_ARRAY_LAYOUT.format)
+    columns, rows = dict[str, FloatArray](), dict[str, int]()
+    for name, array in (("gyro", gyro), ("accel", accel)):
+        vectors = _to_floats(source, name, array)
+        if vectors.ndim != 2 or vectors.shape[1] != 3:
+            raise InputError(f"{source}: {name}: must have the shape (T, 3), not {vectors.shape}")
+        columns |= zip((f"{name}{suffix}" for suffix in _AXIS_SUFFIXES), vectors.T, strict=True)
+        rows[name] = len(vectors)
     if time is not None:
         columns["time"], is_date = _to_column(source, "time", time)
-        if columns["time"].ndim != 1:
-            shape = columns["time"].shape
-            raise InputError(f"{source}: time: must have the shape (T,), not {shape}")
         layout = layout._replace(time_unit="iso" if is_date else time_unit)
-    _check_equal_lengths(source, {**vectors, **({} if time is None else {"time": columns["time"]})})
+        rows["time"] = len(columns["time"])
+    for name, count in rows.items():
+        if count != rows["gyro"] or not count:
+            raise InputError(f"{source}: {name}: has {count} rows, gyro {rows['gyro']}")
     record = record_from_table(source, layout, _make_table(source, columns))
     record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
     return StoredRecord.from_record(record, _make_reference(f"{source}: reference", reference))
@@ -131,43 +121,22 @@ def _to_floats(source: str, name: str, values: Any) -> FloatArray:
         values = values.astype(float).filled(np.nan)
     try:
         return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        cells = _to_cells(values)
-        if cells is None:
-            raise InputError(f"{source}: {name}: not numeric: {first_error_line(error)}") from None
+    except (TypeError, ValueError):
+        cells = np.asarray(values, dtype=object)
     numbers = np.empty(cells.shape)
     for index, cell in np.ndenumerate(cells):
         try:
             numbers[index] = np.nan if _is_missing(cell) else float(cell)
         except (TypeError, ValueError):
-            row, *axis = index
-            column = f"{name}[:, {axis[0]}]" if axis else name
-            cell_text = shorten(repr(cell), 32)
-            raise InputError(
-                f"{source}: row {row}: column {column!r}: {cell_text} is not a number"
-            ) from None
+            column = name + "".join(f"[:, {axis}]" for axis in index[1:])
+            text = f"{shorten(repr(cell), 32)} is not a number"
+            raise InputError(f"{source}: row {index[0]}: column {column!r}: {text}") from None
     return numbers
-
-
-def _to_cells(values: Any) -> NDArray[Any] | None:
-    """Return the cells of an array or table; None if its rows differ in length."""
-    try:
-        cells = np.asarray(values, dtype=object)
-    except ValueError:
-        return None
-    return None if any(isinstance(cell, list | tuple) for cell in cells.flat) else cells
 
 
 def _is_missing(cell: Any) -> bool:
     """Return whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
     return cell is None or type(cell).__name__ in ("NAType", "NaTType")
-
-
-def _to_vectors(source: str, name: str, values: Any) -> FloatArray:
-    numbers = _to_floats(source, name, values)
-    if numbers.ndim != 2 or numbers.shape[1] != 3:
-        raise InputError(f"{source}: {name}: must have the shape (T, 3), not {numbers.shape}")
-    return numbers
 
 
 def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
@@ -176,54 +145,33 @@ def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
     if array.dtype.kind == "O" and array.ndim == 1:  # pandas stores dates with a zone as objects
         first = next((cell for cell in array if not _is_missing(cell)), None)
         if isinstance(first, datetime):
-            array = _to_utc_dates(source, name, values)
-    if array.dtype.kind != "M":
-        return _to_floats(source, name, values), False
-    nanoseconds = array.astype("datetime64[ns]").astype(np.int64) * 1e-9
-    return np.where(np.isnat(array), np.nan, nanoseconds), True
+            try:
+                dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
+            except (pa.ArrowException, TypeError, ValueError) as error:
+                reason = f"not dates with time: {first_error_line(error)}"
+                raise InputError(f"{source}: {name}: {reason}") from None
+            array = dates.to_numpy(zero_copy_only=False)
+    if array.dtype.kind == "M":
+        nanoseconds = array.astype("datetime64[ns]").astype(np.int64) * 1e-9
+        return np.where(np.isnat(array), np.nan, nanoseconds), True
+    numbers = _to_floats(source, name, values)
+    if numbers.ndim != 1:
+        raise InputError(f"{source}: {name}: must have the shape (T,), not {numbers.shape}")
+    return numbers, False
 
 
-def _to_utc_dates(source: str, name: str, values: Any) -> NDArray[Any]:
-    """Return dates with time in UTC, from objects of which some may have a zone."""
-    try:
-        dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
-    except (pa.ArrowException, TypeError, ValueError) as error:
-        raise InputError(
-            f"{source}: {name}: not dates with time: {first_error_line(error)}"
-        ) from None
-    moments: NDArray[Any] = dates.to_numpy(zero_copy_only=False)
-    return moments
-
-
-def _check_equal_lengths(source: str, arrays: dict[str, FloatArray]) -> None:
-    rows = {name: len(values) for name, values in arrays.items()}
-    if not rows["gyro"]:
-        raise InputError(f"{source}: gyro: has no rows")
-    for name, count in rows.items():
-        if count != rows["gyro"]:
-            raise InputError(f"{source}: {name}: has {count} rows, gyro {rows['gyro']}")
-
-
-def _make_table(source: str, columns: dict[str, FloatArray]) -> ColumnTable:
+def _make_table(source: str, columns: dict[str, FloatArray]) -> Table:
     """Return columns in memory as an opened table, whose rows count from 0."""
 
     def read(
         wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
     ) -> list[FloatArray]:
         find_columns(source, list(columns), wanted)
-        result = []
         for name in wanted:
-            values = np.array(columns[name], dtype=np.float64)  # a copy, which the reader changes
-            large = np.isfinite(values) & (np.abs(values) > MAX_MAGNITUDE)
-            bad = large if blanks else large | ~np.isfinite(values)
-            if bad.any():
-                row = int(bad.argmax())
-                problem = f"out of range (beyond {MAX_MAGNITUDE:g})" if large[row] else MISSING_TEXT
-                raise InputError(f"{source}: row {row}: column {name!r}: {problem}")
-            result.append(values)
-        return result
+            check_values(source, name, columns[name], 0, blanks=blanks)
+        return [columns[name].copy() for name in wanted]  # which the reader changes
 
-    return ColumnTable(list(columns), read, lambda k: k, "arrays")
+    return Table(list(columns), read, lambda k: k, "arrays")
 
 
 def _make_reference(source: str, reference: Any) -> Reference | None:
@@ -234,9 +182,6 @@ def _make_reference(source: str, reference: Any) -> Reference | None:
     if names is None:
         names = getattr(reference, "columns", reference)
     columns = {str(name): _to_column(source, str(name), reference[name])[0] for name in names}
-    rows = {len(values) for values in columns.values()}
-    if len(rows) > 1 or not all(values.ndim == 1 for values in columns.values()):
-        raise InputError(f"{source}: its columns must have one number per row")
-    if rows == {0}:
-        raise InputError(f"{source}: has no rows")
+    if len({*map(len, columns.values())}) != 1 or not len(next(iter(columns.values()))):
+        raise InputError(f"{source}: its columns must have one number per row, and some rows")
     return reference_from_table(source, _make_table(source, columns))

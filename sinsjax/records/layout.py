@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.records.column_names import named_turns
 from sinsjax.units import ARCSEC, DEG, DEG_PER_H, STANDARD_GRAVITY, micro_g
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +28,13 @@ ACCEL_UNITS = {
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
+_FACTORS = {
+    **GYRO_UNITS[INCREMENTS],
+    **GYRO_UNITS[RATES],
+    **ACCEL_UNITS[INCREMENTS],
+    **ACCEL_UNITS[RATES],
+}
+
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 """Factors to s, by unit name; ISO dates are read as seconds since 1970."""
 
@@ -42,7 +48,7 @@ _RATE_TOLERANCE = 1e-4
 
 
 class Flaw(NamedTuple):
-    """Missing samples of a record, ``begin`` up to but not including ``end``, and the message."""
+    """Missing samples of a record, from ``begin`` to before ``end``, and the message."""
 
     begin: int
     end: int
@@ -50,15 +56,13 @@ class Flaw(NamedTuple):
 
 
 class Anomaly(NamedTuple):
-    """Samples, ``begin`` up to but not including ``end``, that are impossible for a base at rest.
-
-    ``is_certain`` if they are certainly wrong; the message does not name the file.
-    """
+    """Samples, from ``begin`` to before ``end``, that are impossible for a base at rest."""
 
     begin: int
     end: int
-    is_certain: bool
-    text: str
+    is_certain: bool  # that they are wrong
+    text: str  # without the file
+    hides_north: bool = False  # pitch and roll can be found, but no heading
 
 
 class Record(NamedTuple):
@@ -77,8 +81,7 @@ class Record(NamedTuple):
         source: the file's name, for messages.
         flaws: missing samples, which are nan in dtheta and dv.
         filled: number of missing samples that were interpolated.
-        layout: layout of arrays, for messages about their units and axes; None for a file, whose
-            layout is in the study.
+        layout: of arrays, for messages; None for a file, whose layout is in the study.
         anomalies: samples that are impossible for a base at rest.
         remarks: what was left out or assumed while the file was read, one line each.
     """
@@ -102,34 +105,13 @@ class Record(NamedTuple):
 class RecordLayout(NamedTuple):
     """Which column of a file is what, in which unit, on which axis, and at what time.
 
-    The fields are keys of a study's ``[record]`` section.
-
-    Attributes:
-        format: "psins", "csv" or "parquet". PSINS text otherwise uses only axes_order,
-            mounting_deg and rate_hz. "arrays" for arrays in memory.
-        columns: names of all columns of a text file that does not name them; () if it does.
-        skip_rows: lines of a text file before its names, or before its samples.
-        time_column: time at the end of each sample; "" if the file has no time.
-        time_unit: unit of the time column: "s", "ms", "us", "ns", or "iso" for dates or times of
-            day.
-        time_scale: multiplier of the time column, in its unit.
-        time_fraction_column: column with the fraction of a second that time_column lacks; "" if
-            none.
-        time_fraction_unit: unit of the fraction.
-        gyro_columns: three names, in the record's own x, y, z.
-        accel_columns: three names, in the record's own x, y, z.
-        gyro_unit: a unit of `GYRO_UNITS`; that of an increment for increments over each sample,
-            that of a rate for rates averaged over each sample.
-        accel_unit: a unit of `ACCEL_UNITS`, likewise.
-        gyro_scale: multiplier of each gyro column, in its unit: that of one count, or -1.
-        accel_scale: multiplier of each accelerometer column, likewise.
-        axes_order: the record's axes that point right, front and up: "y-xz" means that right is +y
-            of the record, front is -x and up is +z; or a name of `NAMED_AXES`.
-        mounting_deg: attitude of these axes in the vehicle: pitch, roll and yaw
-            (counter-clockwise), deg.
-        rate_hz: sample rate, Hz; None takes it from the header or the time column.
-        max_gap_s: longest time between two good samples across which missing ones are
-            interpolated.
+    The fields are keys of a study's ``[record]`` section (``sinsjax keys record``), with the sample
+    rate. Increments are over each sample, rates averaged over it, stamps at its end. ``format`` may
+    be "arrays" for arrays in memory; PSINS text uses only axes_order, mounting_deg and rate_hz.
+    Columns of sensors are in the record's own x, y, z; scales multiply them, in their unit.
+    ``axes_order`` names the record's axes that point right, front and up: "y-xz" means that right
+    is +y of the record, front is -x and up is +z; or is a name of `NAMED_AXES`. ``mounting_deg`` is
+    the attitude of these axes in the vehicle. "" is no column of times, None a rate from the file.
     """
 
     format: str
@@ -172,13 +154,7 @@ def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 class Note(NamedTuple):
-    """Reason for the value of a layout's key.
-
-    Attributes:
-        reason: the reason; "" for none.
-        doubt: the doubt about it; "" for none.
-        question: why the key is open, with the evidence for each candidate; "" if it is not.
-    """
+    """Reason for the value of a layout's key, the doubt about it, or why it is open; "" if none."""
 
     reason: str
     doubt: str = ""
@@ -190,17 +166,9 @@ PSINS_LAYOUT = RecordLayout("psins")
 
 
 def check_layout(layout: RecordLayout, source: str) -> None:
-    """Reject an invalid layout.
-
-    Args:
-        layout: the layout.
-        source: name of the file with the keys, at the start of the message.
-
-    Raises:
-        InputError: names the key and the fault.
-    """
-    if layout_fault := find_fault(layout):
-        raise InputError(f"{source}: {layout_fault.key}: {layout_fault.text}")
+    """Reject an invalid layout; the message begins with the source and names the key."""
+    if fault := find_fault(layout):
+        raise InputError(f"{source}: {fault.key}: {fault.text}")
 
 
 class Fault(NamedTuple):
@@ -212,97 +180,84 @@ class Fault(NamedTuple):
 
 def find_fault(layout: RecordLayout) -> Fault | None:
     """Return the first fault of a layout; None if it is valid."""
-    return next((Fault(*entry) for entry in _iter_layout_faults(layout)), None)
+    return next(_iter_faults(layout), None)
 
 
-def _iter_layout_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
+def _iter_faults(layout: RecordLayout) -> Iterator[Fault]:
     # Only the first fault is read, so later checks may rely on earlier ones.
     if layout.format not in _FORMATS:
-        yield "format", _not_one_of_text(layout.format, _FORMATS)
+        yield Fault("format", _not_one_of_text(layout.format, _FORMATS))
     if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
-        yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
+        yield Fault("rate_hz", f"must be positive, not {layout.rate_hz!r}")
     try:
         parse_axes_order(layout.axes_order)
     except ValueError as error:
-        yield "axes_order", str(error)
+        yield Fault("axes_order", str(error))
     if len(layout.mounting_deg) != 3 or not all(map(math.isfinite, layout.mounting_deg)):
-        yield "mounting_deg", "must have a finite pitch, roll and yaw"
-    if layout.format != "psins":
-        yield from _iter_column_faults(layout)
-
-
-def _iter_column_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
-    for key, unit, known in (
-        ("gyro_unit", layout.gyro_unit, GYRO_UNITS),
-        ("accel_unit", layout.accel_unit, ACCEL_UNITS),
+        yield Fault("mounting_deg", "must have a finite pitch, roll and yaw")
+    if layout.format == "psins":
+        return
+    for key, units in (
+        ("gyro_unit", {**GYRO_UNITS[INCREMENTS], **GYRO_UNITS[RATES]}),
+        ("accel_unit", {**ACCEL_UNITS[INCREMENTS], **ACCEL_UNITS[RATES]}),
+        ("time_unit", TIME_UNITS),
+        ("time_fraction_unit", TIME_UNITS),
     ):
-        all_units = [name for units in known.values() for name in units]
-        if unit not in all_units:
-            yield key, _not_one_of_text(unit, all_units)
-    key_by_column = {layout.time_column: "time_column"}
-    if layout.time_fraction_column:
-        if not layout.time_column:
-            yield "time_fraction_column", "requires a time_column"
-        if layout.time_fraction_column == layout.time_column:
-            yield "time_fraction_column", "is the time_column already"
-        key_by_column[layout.time_fraction_column] = "time_fraction_column"
-    for key, names in (
-        ("gyro_columns", layout.gyro_columns),
-        ("accel_columns", layout.accel_columns),
-    ):
-        if len(names) != 3:
-            yield key, f"must name three columns, not {len(names)}"
+        if getattr(layout, key) not in units:
+            yield Fault(key, _not_one_of_text(getattr(layout, key), units))
+    if layout.time_fraction_column and not layout.time_column:
+        yield Fault("time_fraction_column", "requires a time_column")
+    key_by_column: dict[str, str] = {}
+    for key in ("time_column", "time_fraction_column", "gyro_columns", "accel_columns"):
+        names = getattr(layout, key)
+        if isinstance(names, str):
+            names = (names,) if names else ()
+        elif len(names) != 3 or not all(names):
+            yield Fault(key, f"must name three columns, not {len([*filter(None, names)])}")
         for name in names:
-            if not name:
-                yield key, "a column name is empty"
             if name in key_by_column:
-                yield key, f"column {name!r} is already used in {key_by_column[name]}"
+                yield Fault(key, f"column {name!r} is already used in {key_by_column[name]}")
+            if layout.columns and name not in layout.columns:
+                yield Fault(key, f"column {name!r} is not in columns")
             key_by_column[name] = key
-    turns = named_turns(layout.gyro_columns)
+    for key in ("gyro_scale", "accel_scale", "time_scale"):
+        if not all(math.isfinite(f) and f for f in np.atleast_1d(getattr(layout, key)).tolist()):
+            yield Fault(key, "must be finite and not 0")
+    yield from _iter_name_faults(layout)
+    if not 0 <= layout.max_gap_s < math.inf:
+        yield Fault("max_gap_s", f"must not be negative, not {layout.max_gap_s!r}")
+    if not layout.time_column and layout.rate_hz is None:
+        yield Fault("rate_hz", "required without a time_column")
+
+
+def _iter_name_faults(layout: RecordLayout) -> Iterator[Fault]:
+    """Yield contradictions between the names of columns and the axes and signs that are given."""
+    for sensor in ("gyro", "accel"):
+        names, scale = getattr(layout, f"{sensor}_columns"), getattr(layout, f"{sensor}_scale")
+        for name, factor in zip(names, scale, strict=True):
+            if factor > 0 and re.search(r"(^|[_.\s])(neg(ative)?|minus)([_.\s]|$)", name, re.I):
+                text = f"column {name!r} has a minus in its name: give it a negative {sensor}_scale"
+                yield Fault(f"{sensor}_columns", f"{text} (or name the column otherwise)")
+    words = [re.search(r"roll|pitch|yaw", name.lower()) for name in layout.gyro_columns]
+    turns = [("pitch", "roll", "yaw").index(word[0]) for word in words if word]
     index, _ = parse_axes_order(layout.axes_order)
-    if turns and tuple(index[body] for body in turns) != (0, 1, 2):
+    if set(turns) == {0, 1, 2} and [index[turn] for turn in turns] != [0, 1, 2]:
         ordered = [layout.gyro_columns[turns.index(index.index(axis))] for axis in range(3)]
         text = (
             "must be in the order of x, y, z, where roll is about the front: with axes_order ="
             f" {layout.axes_order!r} these are {', '.join(map(repr, ordered))}"
         )
-        yield "gyro_columns", text
-    for key, scale in (
-        ("gyro_scale", layout.gyro_scale),
-        ("accel_scale", layout.accel_scale),
-        ("time_scale", (layout.time_scale,)),
-    ):
-        if not all(math.isfinite(factor) and factor for factor in scale):
-            yield key, "must be finite and not 0"
-    for key, unit in (
-        ("time_unit", layout.time_unit),
-        ("time_fraction_unit", layout.time_fraction_unit),
-    ):
-        if unit not in TIME_UNITS:
-            yield key, _not_one_of_text(unit, TIME_UNITS)
-    if layout.columns:
-        for name in sorted(key_by_column.keys() - {""} - {*layout.columns}):
-            yield key_by_column[name], f"column {name!r} is not in columns"
-    if not 0 <= layout.max_gap_s < math.inf:
-        yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
-    if not layout.time_column and layout.rate_hz is None:
-        yield "rate_hz", "required without a time_column"
+        yield Fault("gyro_columns", text)
 
 
 def quantity_of(unit: str) -> str:
     """Return the quantity of a unit of gyros or accelerometers: increments or rates."""
-    units = {**GYRO_UNITS[INCREMENTS], **ACCEL_UNITS[INCREMENTS]}
-    return INCREMENTS if unit in units else RATES
+    return RATES if unit in {**GYRO_UNITS[RATES], **ACCEL_UNITS[RATES]} else INCREMENTS
 
 
 def unit_factor(unit: str) -> float:
     """Return the factor of a unit of gyros or accelerometers to SI."""
-    return next(
-        units[unit]
-        for known in (GYRO_UNITS, ACCEL_UNITS)
-        for units in known.values()
-        if unit in units
-    )
+    return _FACTORS[unit]
 
 
 def increment_factor(unit: str, rate_hz: float) -> float:
@@ -315,16 +270,10 @@ def _not_one_of_text(value: str, known: Iterable[str]) -> str:
 
 
 def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
-    """Parse an order of axes: the record's axis and sign for body right, front and up.
-
-    Args:
-        order: a signed permutation of xyz, such as "y-xz", or a name of `NAMED_AXES`.
-
-    Returns:
-        The three indices into the record's axes, and the three signs (3,).
+    """Return the record's axes for body right, front and up: three indices and signs (3,).
 
     Raises:
-        ValueError: not a signed permutation of xyz, or left-handed.
+        ValueError: not a signed permutation of xyz, such as "y-xz", or left-handed.
     """
     order = NAMED_AXES.get(order, order)
     terms = re.findall(r"([+-]?)([xyz])", order)
@@ -336,8 +285,7 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
         )
     index = ["xyz".index(name) for name in names]
     signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in terms])
-    matrix = signs[:, None] * np.eye(3)[index]
-    if np.linalg.det(matrix) < 0:
+    if np.linalg.det(signs[:, None] * np.eye(3)[index]) < 0:
         raise ValueError(f"{order!r} is left-handed: it mirrors the axes; change one sign")
     return index, signs
 
@@ -345,9 +293,8 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
 def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
     """Return the rotation (3, 3) from the axes of the box to those of the vehicle.
 
-    Args:
-        mounting_deg: attitude of the box in the vehicle: pitch, roll and yaw, deg, in the order of
-            `Record.attitude_deg`, C = Rz(yaw) Rx(pitch) Ry(roll).
+    The attitude of the box is in the order of `Record.attitude_deg`, C = Rz(yaw) Rx(pitch)
+    Ry(roll).
     """
     (cp, cr, cy), (sp, sr, sy) = (f(np.multiply(mounting_deg, DEG)) for f in (np.cos, np.sin))
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
@@ -374,20 +321,11 @@ def from_body_axes(values: FloatArray, order: str) -> FloatArray:
 
 
 def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, source: str) -> float:
-    """Determine the sample rate from those of the file and of the layout.
+    """Return the sample rate of the layout, or else that of the file, Hz.
 
-    Args:
-        file_hz: the rate according to the file.
-        layout: its ``rate_hz`` takes precedence if given.
-        uncertainty: relative uncertainty of found_hz, in addition to a clock's 1e-4.
-        source: start of the error message.
-
-    Returns:
-        The rate, Hz. A rate from the file is rounded to 12 digits, so that an interval of 0.01 s
-        means 100 Hz.
-
-    Raises:
-        InputError: the two rates differ.
+    A rate from the file is rounded to 12 digits, so that an interval of 0.01 s means 100 Hz. It may
+    differ from the layout's by ``uncertainty``, relative, and the 1e-4 of a clock; otherwise the
+    error begins with the source.
     """
     file_hz = float(f"{file_hz:.12g}")
     if layout.rate_hz is None:
@@ -398,16 +336,9 @@ def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, sourc
 
 
 def require_span(record: Record, start_s: float, needed_s: float, breakdown: str = "") -> None:
-    """Reject a record that does not cover a time span, or lacks samples within it.
+    """Reject a record that does not cover a time span from its beginning, or lacks samples in it.
 
-    Args:
-        record: the record.
-        start_s: start of the span, from the beginning of the record, s.
-        needed_s: length of the span, s.
-        breakdown: composition of that length as text, after a blank.
-
-    Raises:
-        InputError: states the available and the needed length, or the missing samples.
+    ``breakdown`` is the composition of the needed length as text, after a blank.
     """
     available_s = len(record.dtheta) / record.rate_hz
     if start_s < 0:

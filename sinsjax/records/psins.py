@@ -6,9 +6,8 @@ roll, yaw (deg), VE, VN, VU (m/s); latitude, longitude (deg), height (m), t0 (s)
 """
 
 import math
-import re
 from collections.abc import Sequence
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,18 +16,9 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.platform.files import atomic_write
-from sinsjax.records.anomalies import find_anomalies
-from sinsjax.records.files import (
-    CUT_OFF_HINT,
-    Lines,
-    cut_row_text,
-    is_cut_short,
-    parse_number,
-    read_line_batches,
-)
+from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
-    Anomaly,
     FloatArray,
     Record,
     RecordLayout,
@@ -37,10 +27,10 @@ from sinsjax.records.layout import (
     to_body_axes,
     to_vehicle_axes,
 )
+from sinsjax.records.reader import Line, data_lines, is_number, open_text, parse_number, read_lines
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
-_INT64 = np.iinfo(np.int64)
 # Above this, float64 no longer represents every integer.
 _LARGEST_SUM = 2.0**53
 
@@ -53,50 +43,40 @@ class _Header(NamedTuple):
     scale: Sequence[float]  # gyro x, y, z arcsec; accelerometer x, y, z ug*s
 
 
+def is_psins(path: str | Path) -> bool:
+    """Return whether the first three lines of data of a file are six numbers each."""
+    rows = [line.text.split() for line in _header_lines(path)]
+    return len(rows) == 3 and all(len(row) == 6 and all(map(is_number, row)) for row in rows)
+
+
 def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
     The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
-    the header is unknown.
-
-    Args:
-        path: the file.
-        layout: only its axes_order, mounting_deg and rate_hz are used; rate_hz must agree with the
-            header's interval.
-
-    Returns:
-        The record with the header's position, attitude and g.
-
-    Raises:
-        InputError: the file cannot be read, is cut off, or has a bad header or sample; the message
-            names the row.
+    the header is unknown. Of the layout, axes_order, mounting_deg and rate_hz are used; the rate
+    must agree with the header's interval.
     """
     check_layout(layout, str(path))
-    batches = map(_data_lines, read_line_batches(path))
-    head = next(batches)
-    while len(head.lines) <= 3 and (next_lines := next(batches, None)):
-        head = next_lines._replace(
-            lines=head.lines + next_lines.lines, rows=head.rows + next_lines.rows
-        )
-    header = _read_header(path, head)
-    if len(head.rows) == 3:
-        raise InputError(f"{path}: no samples after the header")
-    first = head._replace(lines=head.lines[3:], rows=head.rows[3:])
-    remarks: list[str] = []
-    counts_and_rows = [
-        (_read_counts(path, batch), np.asarray(batch.rows, np.int64))
-        for batch in (_drop_cut_row(batch, remarks) for batch in chain([first], batches))
-    ]
-    counts, rows = (np.concatenate(parts) for parts in zip(*counts_and_rows, strict=True))
-    scale = np.array(header.scale)
+    lines = _header_lines(path)
+    header = _parse_header(path, lines)
+    table = open_text(path, _COUNT_COLUMNS, skip_rows=lines[-1].row)
+    columns = table.read(_COUNT_COLUMNS)
+    for name, column in zip(_COUNT_COLUMNS, columns, strict=True):
+        bad = (column != np.rint(column)) | (np.abs(column) > _LARGEST_SUM)
+        if bad.any():
+            k = int(bad.argmax())
+            text = f"{column[k]:.12g} is not an integer count of at most 16 digits"
+            raise InputError(f"{path}: row {table.row_number(k)}: {name}: {text}")
+    counts, scale = np.column_stack(columns), np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
-    rate = resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {head.rows[1]}: the header")
+    rate = resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {lines[1].row}: the header")
 
     def to_axes(increments: FloatArray) -> FloatArray:
         in_box = to_body_axes(increments, layout.axes_order)
         return to_vehicle_axes(in_box, layout.mounting_deg)
 
+    factors = scale * np.repeat([ARCSEC, micro_g(gravity)], 3) * rate
     return Record(
         dtheta=to_axes(counts[:, :3] * (scale[:3] * ARCSEC)),
         dv=to_axes(counts[:, 3:] * (scale[3:] * micro_g(gravity))),
@@ -107,94 +87,35 @@ def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
         attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
         gravity_m_per_s2=gravity,
         source=str(path),
-        anomalies=_find_anomalies(counts, scale, rate, gravity, rows),
-        remarks=tuple(remarks),
+        anomalies=find_anomalies(_COUNT_COLUMNS, columns, factors.tolist(), rate, table.row_number),
     )
 
 
-def _find_anomalies(
-    counts: NDArray[np.int64],
-    scale: FloatArray,
-    rate_hz: float,
-    gravity: float,
-    rows: NDArray[np.int64],
-) -> tuple[Anomaly, ...]:
-    units = np.repeat([ARCSEC, micro_g(gravity)], 3)
-    factors = (scale * units * rate_hz).tolist()
-    return find_anomalies(
-        _COUNT_COLUMNS, list(counts.T), factors, rate_hz, lambda sample: int(rows[sample])
-    )
+def _header_lines(path: str | Path) -> list[Line]:
+    batches = (data_lines(lines, row) for row, lines in read_lines(path))
+    return [*islice(chain.from_iterable(batches), 3)]
 
 
-class _DataLines(NamedTuple):
-    """Lines that are not comments.
-
-    Attributes:
-        lines: the lines.
-        rows: row of each line in the file, from 1.
-        is_last: whether the file ends with them.
-        is_unterminated: whether the last of them has no line ending.
-    """
-
-    lines: list[bytes]
-    rows: list[int]
-    is_last: bool
-    is_unterminated: bool
-
-
-def _data_lines(batch: Lines) -> _DataLines:
-    numbered = enumerate(batch.lines, start=batch.first)
-    data = [(line, row) for row, line in numbered if _is_data(line)]
-    return _DataLines(
-        [line for line, _ in data], [row for _, row in data], batch.is_last, batch.is_unterminated
-    )
-
-
-def _drop_cut_row(data: _DataLines, remarks: list[str]) -> _DataLines:
-    """Return samples without the last row if the file is cut off within its last number."""
-    if not (data.is_unterminated and len(data.lines) > 2):
-        return data
-    *earlier, last = (line.decode("latin-1").split() for line in data.lines[-500:])
-    if len(last) != 6 or not is_cut_short(last[-1], [words[-1] for words in earlier if words]):
-        return data
-    remarks.append(cut_row_text(data.rows[-1]))
-    return data._replace(lines=data.lines[:-1], rows=data.rows[:-1])
-
-
-def _is_data(line: bytes) -> bool:
-    text = line.lstrip()
-    return bool(text) and not text.startswith(b"%")
-
-
-def _read_header(path: str | Path, head: _DataLines) -> _Header:
-    pairs = zip(head.lines[:3], head.rows[:3], strict=True)
-    parsed = [_parse_header_line(path, line, row) for line, row in pairs]
-    if len(parsed) < 3:
-        raise InputError(f"{path}: the header must have 3 lines, not {len(parsed)}")
-    header = _Header(*parsed)
-    fault = _find_header_fault(header)
-    if fault is not None:
+def _parse_header(path: str | Path, lines: list[Line]) -> _Header:
+    values = []
+    for row, text in lines:
+        words = text.split()
+        if len(words) != 6:
+            hint = "(not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
+            problem = f"a header line must have 6 values, not {len(words)} {hint}"
+            raise InputError(f"{path}: row {row}: {problem}")
+        try:
+            values.append([math.nan if w.lower() == "nan" else parse_number(w) for w in words])
+        except ValueError as error:
+            raise InputError(f"{path}: row {row}: header: {error}") from None
+    if len(values) < 3:
+        raise InputError(f"{path}: the header must have 3 lines, not {len(values)}")
+    header = _Header(*values)
+    if fault := _find_header_fault(header):
         line, text = fault
-        raise InputError(
-            f"{path}: row {head.rows[line]}: header line {line + 1}: {text} (a 3-line header must "
-            "precede the samples)"
-        )
+        place, hint = f"row {lines[line].row}: header line {line + 1}", "must precede the samples"
+        raise InputError(f"{path}: {place}: {text} (a 3-line header {hint})")
     return header
-
-
-def _parse_header_line(path: str | Path, line: bytes, row: int) -> list[float]:
-    words = line.decode("latin-1").split()
-    if len(words) != 6:
-        text = f"a header line must have 6 values, not {len(words)}"
-        if b"," in line or b";" in line:
-            text += (
-                " (not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
-            )
-        raise InputError(f"{path}: row {row}: {text}")
-    try:
-        return [math.nan if word.lower() == "nan" else parse_number(word) for word in words]
-    except ValueError as error:
-        raise InputError(f"{path}: row {row}: header: {error}") from None
 
 
 def _find_header_fault(header: _Header) -> tuple[int, str] | None:
@@ -215,51 +136,6 @@ def _find_header_fault(header: _Header) -> tuple[int, str] | None:
     return None
 
 
-def _read_counts(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
-    if not data.lines:
-        return np.empty((0, 6), np.int64)
-    # loadtxt would accept "1.5" as an integer: any unusual character takes the slower path.
-    if not b"".join(data.lines).translate(None, b"0123456789+- \t"):
-        try:
-            counts = np.loadtxt(data.lines, dtype=np.int64, comments=None, ndmin=2)
-        except ValueError:
-            pass
-        else:
-            if counts.shape[1] == 6:
-                return counts
-    return _read_counts_line_by_line(path, data)
-
-
-def _read_counts_line_by_line(path: str | Path, data: _DataLines) -> NDArray[np.int64]:
-    """Read counts slowly, to name the first invalid row."""
-    counts = []
-    for line, row in zip(data.lines, data.rows, strict=True):
-        words = line.decode("latin-1").split()
-        if len(words) != 6:
-            end = CUT_OFF_HINT if data.is_last and row == data.rows[-1] and len(words) < 6 else ""
-            raise InputError(
-                f"{path}: row {row}: a sample must have 6 counts, not {len(words)}{end}"
-            )
-        for name, word in zip(_COUNT_COLUMNS, words, strict=True):
-            fault = _describe_count_fault(word)
-            if fault:
-                raise InputError(f"{path}: row {row}: {name}: {fault}")
-        counts.append([int(word) for word in words])
-    return np.array(counts, dtype=np.int64)
-
-
-def _describe_count_fault(word: str) -> str:
-    try:
-        parse_number(word)
-    except ValueError as error:
-        return str(error)
-    if not re.fullmatch(r"[+-]?[0-9]+", word):
-        return f"{word!r} is not an integer count"
-    if len(word) > 20 or not _INT64.min <= int(word) <= _INT64.max:
-        return f"a number of {len(word)} digits is too large for a count"
-    return ""
-
-
 def write_psins(
     record: Record,
     path: str | Path,
@@ -269,21 +145,13 @@ def write_psins(
     """Write a PSINS SIMU log.
 
     The running sums are rounded to counts, not the increments, so the error of a sum of any length
-    is at most half a count. Values unknown to the record become nan in the header;
+    is at most half a count; the scales are those of one count. The record's g, or else standard
+    gravity, scales the specific force. Values unknown to the record become nan in the header;
     velocity and longitude, which a record lacks, become 0.
-
-    Args:
-        record: the record; its g, or else standard gravity, scales the specific force.
-        path: the file to write; written atomically.
-        gyro_scale_arcsec: one gyro count, arcsec.
-        accel_scale_ug_s: one accelerometer count, ug*s.
-
-    Raises:
-        InputError: a scale factor or the record cannot be written, or the target is not writable.
     """
     gravity = STANDARD_GRAVITY if record.gravity_m_per_s2 is None else record.gravity_m_per_s2
-    place = (math.nan if v is None else v for v in (record.latitude_deg, record.height_m))
-    latitude, height = place
+    latitude = math.nan if record.latitude_deg is None else record.latitude_deg
+    height = math.nan if record.height_m is None else record.height_m
     header = _Header(
         pose=[*(record.attitude_deg or [math.nan] * 3), 0.0, 0.0, 0.0],
         place=[latitude, 0.0, height, record.t0_s, 1e3 / record.rate_hz, gravity],

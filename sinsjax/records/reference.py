@@ -8,8 +8,7 @@ import numpy as np
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds, shorten
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Record, RecordLayout
-from sinsjax.records.tables import ColumnTable, open_parquet
-from sinsjax.records.text import open_csv
+from sinsjax.records.reader import Table, open_parquet, open_text
 
 _LONGEST_GAP_S = 5.0  # that is interpolated; a swinging base turns within seconds
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
@@ -32,22 +31,11 @@ class Reference(NamedTuple):
 
 
 def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Reference:
-    r"""Read a reference attitude from a Parquet file (suffix .parquet) or comma-separated text.
+    r"""Read a reference attitude from a Parquet file (suffix .parquet) or delimited text.
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
     north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
-    The record's time column, in the record's unit, may replace time_s.
-
-    Args:
-        path: the file.
-        layout: layout of the record, if the file may use the record's time column.
-
-    Returns:
-        The reference.
-
-    Raises:
-        InputError: the file cannot be read, a column is missing or a value is wrong; the message
-            names the column and the row.
+    The time column of a record's layout, in its unit, may replace time_s.
 
     Examples:
         >>> from pathlib import Path
@@ -56,12 +44,12 @@ def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Refe
         >>> sinsjax.read_reference("reference.csv").attitude_deg[:, 2].tolist()  # yaw
         [10.0, 12.0]
     """
-    table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_csv(path)
+    table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_text(path)
     return reference_from_table(path, table, layout)
 
 
 def reference_from_table(
-    path: str | Path, table: ColumnTable, layout: RecordLayout | None = None
+    path: str | Path, table: Table, layout: RecordLayout | None = None
 ) -> Reference:
     """Return the reference in an opened table, see `read_reference`."""
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
@@ -93,12 +81,7 @@ def reference_from_table(
 
 
 class StoredRecord(NamedTuple):
-    """A record prepared for the engine.
-
-    Attributes:
-        record: increments.
-        reference: attitude to compare with, its times from the beginning of the record, or None.
-    """
+    """A record for the engine, and an attitude to compare with, in times from its beginning."""
 
     record: Record
     reference: Reference | None

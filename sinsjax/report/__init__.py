@@ -14,8 +14,6 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
 from sinsjax.report import monte_carlo
-from sinsjax.report.base import Chapter, Report, Text
-from sinsjax.report.markup import load_template
 from sinsjax.report.output import (
     FIGURES_FOLDER,
     DrawnReport,
@@ -70,40 +68,22 @@ def _print_reports(
         require_writable(html, "--html")
     reports = []
     for directory in directories:
-        source = _read_source(directory, allow_unfinished=True)
         if is_tuning(directory):
             from sinsjax.report import tuning  # late: it needs JAX
+            from sinsjax.tuning import results
 
+            source = results.read_evaluation(directory)
             report = tuning.build_report(source)
         else:
+            source = Source.read(directory, unfinished=True)
             report = monte_carlo.build_report(
                 source, with_tables=full or html is not None, warnings_shown=warnings_shown
             )
-        reports.append(_draw_and_save_figures(report, source))
-        print_report(reports[-1], console, full=full)
-    if html is None:
-        return
-    names = list(dict.fromkeys(drawn.source.study.name for drawn in reports))
-    *_, last = reports
-    words = load_template("terms.md.j2").render().rstrip()
-    sections = [*last.report.sections, Chapter("Terms", [Text(words)])]
-    reports[-1] = last._replace(report=last.report._replace(sections=sections))
-    write_html_page(html, ", ".join(names), reports)
-
-
-def _read_source(directory: Path, *, allow_unfinished: bool = False) -> Source:
-    if is_tuning(directory):
-        from sinsjax.tuning import results  # late, as above
-
-        return results.read_evaluation(directory)
-    return Source.read(directory, unfinished=allow_unfinished)
-
-
-def _draw_and_save_figures(report: Report, source: Source) -> DrawnReport:
-    """Draw a report's figures into the directory of its source."""
-    drawn = DrawnReport.from_report(source, report)
-    save_figures(drawn.images, source.directory / FIGURES_FOLDER)
-    register_figures(
-        {f"{name}.png": image for name, image in drawn.images.items()}, source.directory
-    )
-    return drawn
+        drawn = DrawnReport.from_report(source, report)
+        save_figures(drawn.images, directory / FIGURES_FOLDER)
+        register_figures({f"{name}.png": image for name, image in drawn.images.items()}, directory)
+        print_report(drawn, console, full=full)
+        reports.append(drawn)
+    if html is not None:
+        names = dict.fromkeys(drawn.source.study.name for drawn in reports)
+        write_html_page(html, ", ".join(names), reports)

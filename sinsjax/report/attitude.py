@@ -14,17 +14,16 @@ from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
 from sinsjax.records.layout import parse_axes_order
-from sinsjax.records.means import EARTH_RATE
-from sinsjax.report.base import MAX_ROWS, Fact, Table, Verdict, build_table
-from sinsjax.report.markup import render_sentence
+from sinsjax.records.motion import EARTH_RATE
+from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table
 from sinsjax.report.verdict import (
     SweepOutcome,
     answer_facts,
     caution_facts,
     condition_table,
     fit_cautions,
+    split_warnings,
     study_title,
-    warning_facts,
 )
 from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
@@ -33,7 +32,7 @@ _COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arc
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
-def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
+def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
     """Return the attitude of each start, its cautions, and the best option.
 
     Args:
@@ -51,8 +50,9 @@ def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict
     elif len(rows) > 1:
         table = _final_attitude_table(source, rows)
     facts = [_attitude_fact(source, last, len(rows)), *_bias_floor_fact(source), *judged]
-    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *_caution_facts(source)]
-    return Verdict(study_title(source), facts + doubts, table)
+    first, doubts = split_warnings(source, warnings_shown=warnings_shown)
+    doubts = [*first, *doubts, *_caution_facts(source)]
+    return Report(study_title(source), facts + doubts, table)
 
 
 def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
@@ -181,10 +181,18 @@ def describe_innovations(source: Source) -> str:
     mean, low, high = statistics
     if not mean.size:
         return "No method here has innovations."
-    above, below = int((mean > high).sum()), int((mean < low).sum())
-    return render_sentence(
-        "innovations", mean=mean, low=low.min(), high=high.max(), above=above, below=below
+    text = (
+        f"Innovations: the mean of r' S^-1 r is {mean.min():.3g} to {mean.max():.3g} in"
+        f" {mean.size:,} runs with a filter, where 2 is expected if P is right ({low.min():.3g} to"
+        f" {high.max():.3g} in 95 % of them, were they white)."
     )
+    if above := int((mean > high).sum()):
+        text += f" {above:,} lie above: their data contradict the filter's noise and model, so its"
+        text += " 1 sigma is not reliable."
+    if below := int((mean < low).sum()):
+        text += f" {below:,} lie below: R is larger than the noise of this data. That is no"
+        text += " contradiction, but such small innovations cannot reveal a wrong heading."
+    return text
 
 
 def _count_runs_above_band(source: Source) -> int:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from sinsjax import analysis, plots
 from sinsjax.analysis.grids import split_into_panels
@@ -14,9 +15,8 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
 from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
-from sinsjax.report.base import Block, Picture, Text, describe_intervals
+from sinsjax.report.base import Block, Picture, describe_intervals
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.keys import is_condition_key, is_method_setting
 from sinsjax.study.study import Study
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
@@ -69,20 +69,19 @@ def build_axis_figures(source: Source) -> list[Block]:
             drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS_NOTE}")
         )
     if insignificant:
-        blocks.append(
-            Text(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
-        )
+        blocks.append(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
     return blocks
 
 
-def repeated_variants_note(source: Source) -> Iterator[Text]:
-    """Return a note on how tables count duplicate variants, if there are any."""
+def repeated_variants_note(source: Source) -> Iterator[str]:
+    """Yield a note on how tables count duplicate variants, if there are any."""
     if keys := source.study.idle_keys():
         variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
-        yield Text(
-            render_sentence(
-                "repeated_variants", source=source, variants=variants, kept=kept, keys=keys
-            )
+        yield (
+            f"{variants - kept:,} of the {variants:,} variants repeat another one, because"
+            f" {' and '.join(keys)} {'has' if len(keys) == 1 else 'have'} no effect there. All"
+            f" numbers here count repeated variants once: {source.runs * kept // variants:,} of"
+            f" {source.runs:,} runs. The Parquet files contain all."
         )
 
 
@@ -95,6 +94,10 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
     columns = (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
     times = [name for name in ("reset_times_s",) if "reset_count" in (row_key, column_key)]
     table = source.rows([*by, row_key, column_key, *columns, *times])
+    # A run that ends without success settles never, as in the verdict.
+    settle_s = pc.if_else(table[criterion.ok_column], table[criterion.settle_column], None)
+    place = table.column_names.index(criterion.settle_column)
+    table = table.set_column(place, table.field(place), settle_s)
     _, panels = split_into_panels(table, row_key, column_key, by)
     numbers = partial(analysis.numeric_column, table)
     cells = [
@@ -111,7 +114,8 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
         numbers(criterion.ok_column) > 0, criterion.outside_floor_band(numbers), np.nan
     )
     mark = (
-        f" Cross-hatched: {render_sentence('not_converged', criterion=criterion)}"
+        f" Cross-hatched: most of the runs that are ok end more than {criterion.band_arcmin:g}'"
+        " from their bias floors, and their errors happen to be small."
         if np.any([one.not_converged for one in cells])
         else ""
     )

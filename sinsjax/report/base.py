@@ -1,4 +1,7 @@
-"""Building blocks of a report, and sentences that all reports use."""
+"""Building blocks of a report, and sentences that all reports use.
+
+All text is plain: a writer escapes it for its medium.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,7 +12,6 @@ from matplotlib.figure import Figure
 from sinsjax import analysis
 from sinsjax.execution.source import Source
 from sinsjax.plots.labels import format_value
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 
@@ -18,12 +20,6 @@ MAX_ROWS = 20
 
 MIN_DRAWS_FOR_INTERVALS = 16
 """Draws from which on the coverage of all intervals is measured; below it, notes warn."""
-
-
-class Text(NamedTuple):
-    """A paragraph, in Markdown without links."""
-
-    text: str
 
 
 class Table(NamedTuple):
@@ -50,18 +46,17 @@ def build_table(
     note: str = "",
     *,
     max_rows: int = MAX_ROWS,
-    remainder: str = "rows are not shown",
 ) -> Table:
     """Return a table with one line per row: the values of its keys, then its formatted cells.
 
-    If there are more than ``max_rows`` rows, the note ends with their number and ``remainder``.
+    If there are more than ``max_rows`` rows, the note ends with the number of the others.
     """
     lines = [
         [*(format_value(row[key]) for key in keys), *(format_cell(row) for _, format_cell in cells)]
         for row in rows[:max_rows]
     ]
     if hidden := len(rows) - len(lines):
-        note = f"{note} {hidden} more {remainder}.".lstrip()
+        note = f"{note} {hidden} more rows are not shown.".lstrip()
     return Table(title, [*keys, *(header for header, _ in cells)], lines, note)
 
 
@@ -79,14 +74,8 @@ class Picture(NamedTuple):
     figure: Figure
 
 
-Block = Text | Table | Picture
-
-
-class Chapter(NamedTuple):
-    """A heading and the blocks under it."""
-
-    heading: str
-    blocks: Sequence[Block]
+Block = str | Table | Picture
+"""A paragraph, a table or a figure."""
 
 
 class Fact(NamedTuple):
@@ -94,7 +83,7 @@ class Fact(NamedTuple):
 
     Attributes:
         label: a word or two, such as ``Accuracy``.
-        text: a sentence, in Markdown without links.
+        text: a sentence without its full stop.
         is_caution: whether it warns.
     """
 
@@ -103,52 +92,31 @@ class Fact(NamedTuple):
     is_caution: bool = False
 
 
-class Verdict(NamedTuple):
-    """The answer that a report begins with.
+class Report(NamedTuple):
+    """The report on one directory of results.
 
     Attributes:
         title: name of the study, number of runs, and failures.
         facts: the answer, then its basis, then doubts.
         table: the answer per condition, if there are several.
+        blocks: all the rest, in the order in which it is read.
+        data_footer: footer of the figures, if they rest on other runs than those of the source.
     """
 
     title: str
     facts: Sequence[Fact]
     table: Table | None = None
-
-
-class Report(NamedTuple):
-    """The report on one directory of results.
-
-    Attributes:
-        verdict: the answer.
-        sections: all the rest, in the order in which it is read.
-        data_footer: footer of the figures, if they rest on other runs than those of the source.
-    """
-
-    verdict: Verdict
-    sections: Sequence[Chapter]
+    blocks: Sequence[Block] = ()
     data_footer: str = ""
 
-    @classmethod
-    def from_parts(
-        cls, verdict: Verdict, parts: Mapping[str, Sequence[Block]], data_footer: str = ""
-    ) -> "Report":
-        """A report of the parts, by their headings, that have blocks; the verdict's table first."""
-        first = [] if verdict.table is None else [verdict.table]
-        chapters = {"Verdict": first, **parts}
-        sections = [Chapter(heading, blocks) for heading, blocks in chapters.items() if blocks]
-        return cls(verdict, sections, data_footer)
-
     @property
-    def verdict_lines(self) -> list[str]:
-        """The verdict without its table as lines of Markdown."""
-        facts = self.verdict.facts
-        return [f"{self.verdict.title}.", *(f"**{fact.label}:** {fact.text}." for fact in facts)]
+    def pictures(self) -> list[Picture]:
+        """The figures of the report."""
+        return [block for block in self.blocks if isinstance(block, Picture)]
 
 
 def describe_success_criterion(study: Study) -> str:
-    """Describe *settled* and *ok* in a study, in one sentence for pages and captions."""
+    """Describe *settled* and *ok* in a study, in one paragraph."""
     rule = success_criteria(study)
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
@@ -156,14 +124,15 @@ def describe_success_criterion(study: Study) -> str:
     aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
     if study.is_recorded:
         aim = "the reference's heading, where there is one,"
-    return render_sentence(
-        "success_criterion",
-        band=rule.band_arcmin,
-        aim=aim,
-        dwell=last if dwell_s.max() else "",
-        level_band=rule.level_band_arcmin,
-        has_floor=not study.is_recorded,
+    ends = f"has been there for {last} s at the end" if dwell_s.max() else "ends there"
+    text = (
+        f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band given) of"
+        f" {aim} from then to the end of the run; ok: it {ends}, and the level errors end within"
+        f" {rule.level_band_arcmin:g} arcmin."
     )
+    if study.is_recorded:
+        return text
+    return f"{text} Bias floor: the heading error caused by a run's own constant sensor biases."
 
 
 def describe_intervals(
@@ -176,7 +145,7 @@ def describe_intervals(
     if source.draws >= MIN_DRAWS_FOR_INTERVALS:
         return note
     return (
-        f"{note} *{analysis.FEW_DRAWS}*, or no interval: so few do not bound the number. With fewer"
+        f"{note} {analysis.FEW_DRAWS!r}, or no interval: so few do not bound the number. With fewer"
         f" than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of skewed values are too"
         " narrow."
     )

@@ -4,7 +4,7 @@ An axis with a starting error, a motion, a sensor or a site is a condition. Any 
 a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,16 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.analysis.formats import format_degrees
-from sinsjax.analysis.grids import held_out_choices
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
-from sinsjax.report.base import Table
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
-
-MIN_DRAWS_TO_SPLIT = 8
-"""Fewest draws that are split into halves, each of which judges the choice of the other."""
 
 _ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
 _MAX_OPTION_LENGTH = 80  # characters of an option; the tables have all its keys
@@ -122,31 +117,6 @@ class Choices:
         kinds = [kind for kind in kinds if kind and best not in kind]
         return kinds or [[i for i in range(len(counts)) if i != best]]
 
-    def condition_table(
-        self,
-        axis: tuple[str, ...],
-        row_cells: Callable[[list[int]], list[str]],
-        settling_header: str,
-    ) -> Table:
-        """The table of a verdict with the points of a condition axis.
-
-        Args:
-            axis: the keys of the axis.
-            row_cells: returns the cells of some conditions: the best option, its settling time and
-                that of its rival; or success, settling time and heading error of a single option.
-            settling_header: header of the settling times, without its unit.
-        """
-        rival = "no reset (s)" if self.options_without_reset else "best overall (s)"
-        header = ["settled (%)", f"{settling_header} (s)", "error, rms (arcmin)"]
-        if len(self.options) > 1:
-            header = [f"best {self.option_noun}", f"{settling_header} (s)", rival]
-        first = condition_header(axis)
-        rows = [
-            [format_condition(axis, point), *row_cells(conditions)]
-            for point, conditions in self.conditions_by_point(axis).items()
-        ]
-        return Table(f"Per {first}", [first, *header], rows)
-
     @property
     def condition_axes(self) -> list[tuple[str, ...]]:
         """The axes that are conditions, by the keys that identify their points."""
@@ -219,22 +189,3 @@ def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
     never = np.isinf(time_s).sum(axis=(1, 2))
     mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
     return int(np.lexsort((mean, never))[0])
-
-
-def best_option_per_draw(time_s: NDArray, unsettled_time_s: float) -> NDArray:
-    """Return the option with which each draw is judged, chosen by draws it does not belong to.
-
-    Each half of the draws chooses the option for the other half. Fewer than `MIN_DRAWS_TO_SPLIT`
-    draws are not split: all choose and all judge.
-
-    Args:
-        time_s: (options, conditions, draws) settling times, infinite for never.
-        unsettled_time_s: as for `best_option`.
-
-    Returns:
-        (draws,) option.
-    """
-    draws = time_s.shape[-1]
-    if draws < MIN_DRAWS_TO_SPLIT:
-        return np.full(draws, best_option(time_s, unsettled_time_s))
-    return held_out_choices(time_s, lambda half: best_option(half, unsettled_time_s))

@@ -1,7 +1,7 @@
 """Consistency of a method's covariance: its error in units of its own sigma, over the runs."""
 
+import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,9 +13,8 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
-from sinsjax.report.base import Fact, Picture, Text
+from sinsjax.report.base import Fact, Picture
 from sinsjax.report.grouping import choose_line_keys
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.units import ARCMIN, MICRO
 
@@ -23,7 +22,7 @@ _YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
 _FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explained
 
 
-def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
+def consistency_blocks(source: Source) -> Iterator[Picture | str]:
     """Consistency where the method has a covariance, of the heading from the bias floor if biased.
 
     One line per variant; of many variants, one line per value of the first key that has few.
@@ -42,7 +41,7 @@ def consistency_blocks(source: Source) -> Iterator[Picture | Text]:
         yield consistency_picture(figure, note, from_floor=from_floor)
 
 
-def _explain_unmodelled_biases(source: Source) -> list[Text]:
+def _explain_unmodelled_biases(source: Source) -> list[str]:
     """Explain why filters without bias states have no NEES of 3 with constant sensor biases."""
     study = source.study
     methods = [METHODS[name] for name in study.methods]
@@ -56,15 +55,29 @@ def _explain_unmodelled_biases(source: Source) -> list[Text]:
     rows = source.distinct_rows(names)
     *sigmas, floor, yaw, nees = (analysis.numeric_column(rows, name) for name in names)
     east, north, up = np.nanmedian(sigmas, axis=1)
-    tilt = accel * MICRO / ARCMIN
-    values: dict[str, Any] = {"gyro": gyro, "accel": accel, "tilt": tilt, "sigmas": (east, north)}
-    sentences = [Text(render_sentence("unmodelled_biases", nees=_FREEDOM, **values))]
+    text = (
+        f"A NEES of {_FREEDOM} cannot be expected here: it includes the whole error, and the"
+        f" sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
+        f" {accel:g} ug) for which this filter has no states, so P excludes the bias floor."
+    )
+    if accel:
+        text += (
+            f" The accelerometer biases alone tilt the level by up to {accel * MICRO / ARCMIN:.2f}"
+            f" arcmin, while the filter's own 1 sigma is {east:.2f} arcmin about east and"
+            f" {north:.2f} about north (medians over the runs)."
+        )
+    sentences = [text]
     mean, most = analysis.mean(nees).value, analysis.chi2_mean_band(_FREEDOM, source.draws)[1]
     floor_rms, error_rms = (analysis.rms(errors_arcmin).value for errors_arcmin in (floor, yaw))
     if mean > _FAR * most and floor_rms > up:
-        values = {"mean": mean, "band_end": most, "sigma": up}
-        values |= {"floor": floor_rms, "error": error_rms}
-        sentences.append(Text(render_sentence("overconfident", **values)))
+        sentences.append(
+            f"The mean NEES is {f'{mean:.3g}' if mean < 1000 else f'{mean:,.0f}'}, far above the"
+            f" band of a consistent filter, which ends at {most:.2g}: P does not contain the"
+            " turn-on biases, and its 1 sigma alone is not the error to expect. Add the bias floor"
+            f" ({floor_rms:.1f} arcmin, rms over the runs) and the filter's 1 sigma of the heading"
+            f" ({up:.1f} arcmin, median) in quadrature: {math.hypot(floor_rms, up):.1f} arcmin."
+            f" The heading errors found are {error_rms:.1f} arcmin rms."
+        )
     return sentences
 
 

@@ -7,15 +7,15 @@ import numpy as np
 from sinsjax import analysis
 from sinsjax.analysis.formats import format_heading_error
 from sinsjax.execution.source import Source
-from sinsjax.report.base import Fact, Table, Verdict, build_table
-from sinsjax.report.verdict import study_title, warning_facts
+from sinsjax.report.base import Fact, Report, Table, build_table
+from sinsjax.report.verdict import study_title
 
 _ANGLES = {"pitch_deg": 3, "roll_deg": 3}
 _SIGMAS = {"sigma_e_arcmin": 1, "sigma_n_arcmin": 1}
 _ERRORS = ("phi_e_arcmin", "phi_n_arcmin")
 
 
-def level_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
+def level_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
     """Return the pitch and roll at the end, their error if a truth is known, and all warnings.
 
     Args:
@@ -27,9 +27,9 @@ def level_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
         *_accuracy_fact(source),
         Fact("Heading", f"none: {' and '.join(source.study.methods)} finds pitch and roll alone"),
     ]
-    doubts = warning_facts(source, warnings_shown=warnings_shown)
+    doubts = (Fact("Warning", line, True) for line in (() if warnings_shown else source.warnings))
     table = _final_level_table(source) if source.runs > 1 else None
-    return Verdict(study_title(source), [*facts, *doubts], table)
+    return Report(study_title(source), [*facts, *doubts], table)
 
 
 def _attitude_fact(source: Source) -> Fact:

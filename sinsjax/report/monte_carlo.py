@@ -26,15 +26,13 @@ from sinsjax.report.base import (
     Picture,
     Report,
     Table,
-    Text,
     build_table,
     describe_intervals,
 )
 from sinsjax.report.consistency import consistency_blocks, covariance_cautions
 from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys
 from sinsjax.report.level import level_verdict
-from sinsjax.report.markup import render_sentence
-from sinsjax.report.verdict import sweep_verdict
+from sinsjax.report.verdict import SweepOutcome, describe_held_out, sweep_verdict
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.success import success_columns, success_measures
 
@@ -57,19 +55,20 @@ def build_report(
     assert source.draws  # raises if draws are missing
     yaw = analysis.numeric_column(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
     has_truth = bool(np.isfinite(yaw).any())
-    blocks = [*build_axis_figures(source), *consistency_blocks(source)] if has_truth else []
-    parts: dict[str, Sequence[Block]] = {"Figures": [*_curve_figures(source), *blocks]}
     needs_attitude = source.study.is_recorded or not has_truth
-    if with_tables:
-        tables = [*repeated_variants_note(source), *_all_tables(source)] if has_truth else []
-        parts["Tables"] = [attitude_table(source), *tables] if needs_attitude else tables
+    blocks: list[Block] = [*_curve_figures(source)]
+    if has_truth:
+        blocks += [*build_axis_figures(source), *consistency_blocks(source)]
+    if with_tables and needs_attitude:
+        blocks.append(attitude_table(source))
+    if with_tables and has_truth:
+        blocks += [*repeated_variants_note(source), *_all_tables(source)]
     build_verdict = attitude_verdict if needs_attitude else sweep_verdict
     if not any(METHODS[name].finds_heading for name in source.study.methods):
         build_verdict = level_verdict
     verdict = build_verdict(source, warnings_shown=warnings_shown)
-    first, *others = verdict.facts
-    facts = [first, *_program_facts(source), *others, *covariance_cautions(source)]
-    return Report.from_parts(verdict._replace(facts=facts), parts)
+    facts = [*verdict.facts, *_program_facts(source), *covariance_cautions(source)]
+    return verdict._replace(facts=facts, blocks=blocks)
 
 
 def _program_facts(source: Source) -> Iterator[Fact]:
@@ -164,7 +163,7 @@ def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Tabl
     unbounded = (
         any(np.isnan(row["q90"].high) for row in rows) and source.draws >= MIN_DRAWS_FOR_INTERVALS
     )
-    few = f" *{analysis.FEW_DRAWS}*: too few to bound it."
+    few = f" {analysis.FEW_DRAWS!r}: too few to bound it."
     note = (
         f"{describe_intervals(source)}{few if unbounded and not source.study.is_recorded else ''}"
     )
@@ -212,37 +211,45 @@ def first_variant_comparison_table(source: Source) -> Table:
     shared = "from the same start times" if source.study.is_recorded else "on the same noise"
     same = "" if mixed or not condition_keys else f" with the same {' and '.join(condition_keys)}"
     pairs = describe_intervals(source, "pairs of runs of a draw", "Difference")
+    reference_only = (
+        " The first variant is a reference only: variants also differ from it in"
+        f" {' and '.join(mixed)}, the conditions of a run."
+        if mixed
+        else ""
+    )
     return build_table(
         f"Against {describe_point(first)}{same}, {shared}",
         keys,
         rows,
         [(column.header, column.format_cell) for column in columns],
-        render_sentence("comparison_with_first", intervals=pairs, mixed=mixed),
+        f"{pairs} Distance: that of the window mean of phi_u.{reference_only}",
     )
 
 
-def _all_tables(source: Source) -> Sequence[Block]:
+def _all_tables(source: Source) -> Iterator[Block]:
+    """Yield the tables of all variants, or of each key, which pools the others."""
     study = source.study
+    held_out = "" if study.is_recorded else describe_held_out(SweepOutcome.from_source(source))
+    if held_out:
+        yield f"{held_out[0].upper()}{held_out[1:]} (each half of the draws chooses for the other)."
     start, end = study.study.window_s
     keys = study.keys_shown
     title = f"Heading error from {'the reference' if study.is_recorded else 'true north'}, arcmin"
     note = (
-        f"{describe_intervals(source)} *never*: did not settle. Signed mean: over {start:g} to"
+        f"{describe_intervals(source)} 'never': did not settle. Signed mean: over {start:g} to"
         f" {end:g} s."
     )
     if study.n_variants <= MAX_ROWS:
-        all_variants = statistics_table(source, keys, "Every variant", note=note)
-        tables = [
-            heading_error_table(source, keys, title),
-            all_variants,
-            *_drawn_key_tables(source, keys),
-        ]
-        compared = study.n_variants > 1 and source.draws > 1
-        return [*tables, first_variant_comparison_table(source)] if compared else tables
-    pooling_note = f"{study.n_variants:,} variants: each table has one key and pools the others."
-    headings = (heading_error_table(source, [key], f"{title}, by {key}") for key in keys)
-    by_key = (statistics_table(source, [key], f"By {key}", note=note) for key in keys)
-    return [Text(pooling_note), *headings, *by_key, *_drawn_key_tables(source, keys)]
+        yield heading_error_table(source, keys, title)
+        yield statistics_table(source, keys, "Every variant", note=note)
+        yield from _drawn_key_tables(source, keys)
+        if study.n_variants > 1 and source.draws > 1:
+            yield first_variant_comparison_table(source)
+        return
+    yield f"{study.n_variants:,} variants: each table has one key and pools the others."
+    yield from (heading_error_table(source, [key], f"{title}, by {key}") for key in keys)
+    yield from (statistics_table(source, [key], f"By {key}", note=note) for key in keys)
+    yield from _drawn_key_tables(source, keys)
 
 
 def _drawn_key_tables(source: Source, keys: Sequence[str]) -> Iterator[Table]:

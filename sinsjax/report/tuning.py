@@ -13,8 +13,7 @@ from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
-from sinsjax.report.base import Block, Fact, Report, Table, Verdict
-from sinsjax.report.markup import render_sentence
+from sinsjax.report.base import Fact, Report, Table
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
@@ -36,12 +35,14 @@ def build_report(source: Source) -> Report:
     pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
     variants = tuning.run_values.shape[1]
     variants_text = f" × {variants} variants" if variants > 1 else ""
-    parts: dict[str, Sequence[Block]] = {
-        "Candidates": [_candidate_table(tuning)],
-        "Searches": pictures,
-    }
-    rests_on = f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point"
-    return Report.from_parts(_tuning_verdict(tuning), parts, rests_on)
+    return Report(
+        f"{tuning.study.name}: tuned by"
+        f" {_join_with_and([SEARCH_LABELS.get(name, name) for name in tuning.searches])}",
+        _tuning_facts(tuning),
+        _candidate_summary_table(tuning),
+        [_candidate_table(tuning), *pictures],
+        f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
+    )
 
 
 def _describe_tuning_draws(tuning: Tuning) -> str:
@@ -51,7 +52,7 @@ def _describe_tuning_draws(tuning: Tuning) -> str:
     return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
-def _tuning_verdict(tuning: Tuning) -> Verdict:
+def _tuning_facts(tuning: Tuning) -> list[Fact]:
     """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
     study, best = tuning.study, tuning.best
     count = sum(len(result.evaluations) for result in tuning.searches.values())
@@ -59,7 +60,7 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
     name, in_unit = describe_objective(study)[0], partial(_format_objective, tuning)
     fresh = format_count(tuning.run_values.shape[2], f"unused {unit}")
     gain = tuning.difference(best, "baseline")
-    facts = [
+    return [
         Fact("Best", _describe_candidate(tuning, best)),
         Fact(
             "Gain",
@@ -74,14 +75,9 @@ def _tuning_verdict(tuning: Tuning) -> Verdict:
             f"in tuned.toml: best of {format_count(count, 'evaluation')} on"
             f" {_describe_tuning_draws(tuning)} ({SEARCH_LABELS.get(best, best)})",
         ),
+        *_gradient_fact(tuning),
+        *_caution_facts(tuning, gain),
     ]
-    searches = _join_with_and([SEARCH_LABELS.get(name, name) for name in tuning.searches])
-    title = f"{study.name}: tuned by {searches}"
-    return Verdict(
-        title,
-        [*facts, *_gradient_fact(tuning), *_caution_facts(tuning, gain)],
-        _candidate_summary_table(tuning),
-    )
 
 
 def _describe_gain(tuning: Tuning, gain: Estimate) -> str:
@@ -157,7 +153,11 @@ def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
     ]
     if min(scores) >= objective.failure_score(tuning.tune, tuning.study):
         judged = success_measures(tuning.study, tuning.tune.objective_band_arcmin)[0]
-        text = render_sentence("all_points_fail", words=judged.description, from_truth=judged.truth)
+        text = (
+            f"every point fails: no run of any point keeps its heading {judged.description}, so the"
+            " objective is the same everywhere. Widen `objective_band_arcmin`, lengthen the runs"
+        )
+        text += ", or judge from the bias floor (`judged_from`)" if judged.truth else ""
         yield Fact("Caution", text, True)
     elif not gain.high < 0 and not tuning.study.is_recorded:
         yield Fact("Caution", "not significantly better than the start", True)
@@ -253,12 +253,12 @@ def _candidate_table(tuning: Tuning) -> Table:
     ]
     recorded = tuning.study.is_recorded
     note = (
-        "On draws that tuned nothing, the same for all; *on the tuning draws*: the score that the"
+        "On draws that tuned nothing, the same for all; 'on the tuning draws': the score that the"
         " search minimised."
         f" {NO_INTERVAL if recorded else 'Number [95 % interval by the bootstrap over them].'}"
         " Cost: simulated steps of the search, those of its derivatives included."
-        " *Bound*: the value stands at the end of the range that was searched."
-        f" Resets less than {DOUBLE_RESET_S:g} s apart are joined by *and*: a double reset, whose"
+        " 'Bound': the value stands at the end of the range that was searched."
+        f" Resets less than {DOUBLE_RESET_S:g} s apart are joined by 'and': a double reset, whose"
         " effect need not be that of one."
     )
     header = ["candidate", *(name for name, _ in cells)]

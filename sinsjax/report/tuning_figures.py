@@ -14,7 +14,6 @@ from sinsjax.plots.descents import (
 )
 from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning.results import MARKER_ORDER, SEARCH_LABELS, Tuning, objective_label
@@ -49,20 +48,19 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
             style = MARKER_ORDER.index(other)
             spots.insert(0, MarkedPoint(SEARCH_LABELS[other], np.array(values), None, style))
     chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
-    caption = render_sentence(
-        "landscape",
-        search=name,
-        is_line=len(used) == 1,
-        has_descents=bool(ways),
-        chosen=chosen if len(space.combinations) > 1 else "",
-    )
+    caption = f"Points of the search {name!r}, coloured by their objective on the tuning draws"
+    if len(used) == 1:
+        caption = f"Objective of the points of the search {name!r} on the tuning draws"
+    caption += "; lines: the descents, of the relaxed objective" if ways else ""
+    if len(space.combinations) > 1:
+        caption += f". All with {chosen}, the values of the best candidate"
     best = tuning.searches[tuning.best].best
     point = zip(
         (_variable_axis(space.variables[i]) for i in used), np.array(best.values)[used], strict=True
     )
     words = ", ".join(_format_value(side, value) for side, value in point)
     figure = draw_descents(seen, ways, spots, f"Best: {words}")
-    return [Picture("descent", caption, figure)]
+    return [Picture("descent", f"{caption}.", figure)]
 
 
 def _variable_axis(variable: Variable) -> VariableAxis:
@@ -104,10 +102,14 @@ def cost_pictures(tuning: Tuning) -> list[Picture]:
         cost, best, relaxed = result.best_by_cost
         ending = (result.cost, result.best.objective) if relaxed else None
         searches.append(CostCurve(SEARCH_LABELS[name], cost, best, relaxed, ending))
-    caption = render_sentence("cost_curve", relaxed=any(search.relaxed for search in searches))
+    caption = "Best objective on the tuning draws against cost (steps of simulation)"
+    if any(search.relaxed for search in searches):
+        caption += "; dashed: the best of all descents at each step, relaxed, on its draws"
     title = f"The best point is of the search: {SEARCH_LABELS[tuning.best]}"
     return [
         Picture(
-            "history", caption, draw_best_by_cost(searches, objective_label(tuning.study), title)
+            "history",
+            f"{caption}.",
+            draw_best_by_cost(searches, objective_label(tuning.study), title),
         )
     ]

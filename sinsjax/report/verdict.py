@@ -1,12 +1,12 @@
-"""The verdict on a sweep: the best option, its gain, its accuracy, and its limiting factor.
+"""The verdict on a sweep: the best option, those like it, its accuracy, and its limiting factor.
 
-A choice is judged on draws that did not make it. See `sinsjax.report.choices`.
+The best has the fewest runs that never settle and, of equals, settles soonest on average, over all
+draws; its numbers are those of its own runs, as anybody computes them from the summary.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +14,29 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
+from sinsjax.analysis.grids import held_out_choices
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
 from sinsjax.execution import stopping
+from sinsjax.execution.checks import band_warnings
 from sinsjax.execution.source import Source
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit.method import REFITS
-from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, Verdict
+from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table
 from sinsjax.report.choices import (
-    MIN_DRAWS_TO_SPLIT,
     Choices,
     best_option,
-    best_option_per_draw,
+    condition_header,
     condition_name_and_unit,
+    format_condition,
 )
-from sinsjax.report.markup import render_sentence
 from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
+_MOST_LIKE = 3  # options that are listed as not told apart from the best
+_MIN_DRAWS_TO_SPLIT = 8  # fewest draws of which each half is judged by the choice of the other
 _RARE = 0.1  # of the runs: so many may be at the edge of both bands, or have a doubtful fit
 _FIT_DOUBTS = {
     "fit_misfit": (
@@ -55,7 +58,7 @@ _FIT_DOUBTS = {
 """Columns of a fit: above which value they are a doubt, and the doubt."""
 
 
-def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
+def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
     """Return the verdict on a simulated study, or on a recorded one with a reference.
 
     Args:
@@ -63,21 +66,22 @@ def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Verdict:
         warnings_shown: whether the user has seen the study's warnings.
     """
     outcome = SweepOutcome.from_source(source)
-    doubts = [*warning_facts(source, warnings_shown=warnings_shown), *caution_facts(outcome)]
-    doubts += fit_cautions(source, _RARE)
-    return Verdict(study_title(source), [*answer_facts(outcome), *doubts], condition_table(outcome))
+    first, doubts = split_warnings(source, warnings_shown=warnings_shown)
+    doubts += [*caution_facts(outcome), *fit_cautions(source, _RARE)]
+    facts = [*first, *answer_facts(outcome), *doubts]
+    return Report(study_title(source), facts, condition_table(outcome))
 
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """The runs of a study over its options, conditions and draws.
+    """The results of a sweep by option, condition and draw, by one criterion of success.
 
     Attributes:
         source: the results.
-        choices: the options and conditions.
-        criterion: the criterion of success.
-        time_s: (options, conditions, draws) settling times, infinite for runs without success, s.
-        error: (options, conditions, draws) heading error from the truth at the end, arcmin.
+        choices: the variants by option and condition.
+        criterion: criterion of success.
+        time_s: (options, conditions, draws) settling times of successes, infinite for others, s.
+        error: (options, conditions, draws) final heading error from the truth, arcmin.
         floor: (options, conditions, draws) bias floor, arcmin; NaN if there is none.
         off_floor: (options, conditions, draws) successes outside the band about the bias floor.
     """
@@ -124,84 +128,79 @@ class SweepOutcome:
     @cached_property
     def unsettled_time_s(self) -> float:
         """Time that a run without settling counts when options are ranked, s."""
-        return max(self.source.study.run_s, np.max(self.time_s, initial=0, where=self.settled))
+        settled = np.isfinite(self.time_s)
+        return max(self.source.study.run_s, np.max(self.time_s, initial=0, where=settled))
 
-    @property
-    def longest_time_s(self) -> float:
-        """Longest time that a run can settle after, s."""
-        return max(float(self.source.study.spans_s[:, 0].max()), self.unsettled_time_s)
+    @cached_property
+    def best(self) -> int:
+        """The best option; every number about it is that of its own runs."""
+        return self.best_of(range(len(self.time_s)))
 
-    @property
-    def settled(self) -> NDArray:
-        """(options, conditions, draws) whether a run settles."""
-        return np.isfinite(self.time_s)
-
-    def choose_best(self, options: Sequence[int] | None = None) -> "Choice":
-        """Choose among some options, or among all."""
-        candidates = np.arange(len(self.time_s)) if options is None else np.asarray(options)
-        time_s = self.time_s[candidates]
-        return Choice(
-            int(candidates[best_option(time_s, self.unsettled_time_s)]),
-            candidates[best_option_per_draw(time_s, self.unsettled_time_s)],
-        )
+    def best_of(self, options: Sequence[int]) -> int:
+        """The best of some options."""
+        return options[best_option(self.time_s[list(options)], self.unsettled_time_s)]
 
     @property
     def best_variant(self) -> int:
         """The number of the best option's variant in the last condition."""
-        return int(self.choices.variants[self.overall_choice.option, -1])
-
-    @cached_property
-    def overall_choice(self) -> "Choice":
-        """The best of all options."""
-        return self.choose_best()
+        return int(self.choices.variants[self.best, -1])
 
     def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
         names = ("time_s", "error", "floor", "off_floor")
         return replace(self, **{name: getattr(self, name)[:, conditions] for name in names})
 
-    def held_out_values(self, choice: "Choice", values: NDArray) -> NDArray:
-        """Values (options, conditions, draws) with the option chosen for each draw, flat."""
-        return values[choice.option_per_draw, :, np.arange(self.n_draws)].ravel()
-
     @property
     def clusters(self) -> NDArray:
-        """The cluster of each of the values of `judged`."""
-        draw = np.zeros if self.source.study.is_recorded else np.arange
-        return np.repeat(draw(self.n_draws).astype(int), self.time_s.shape[1])
+        """The cluster of each run of an option, flat."""
+        draws = np.arange(self.n_draws) * (not self.source.study.is_recorded)
+        return np.tile(draws, self.time_s.shape[1])
 
-    def success_share(self, choice: "Choice") -> Estimate:
-        """The share of runs that settle with a choice."""
-        return analysis.share(np.isfinite(self.held_out_values(choice, self.time_s)), self.clusters)
+    def success_share(self, option: int) -> Estimate:
+        """The share of an option's runs that settle."""
+        return analysis.share(np.isfinite(self.time_s[option]).ravel(), self.clusters)
 
-    def mean_settling_s(self, choice: "Choice") -> Estimate:
-        """The mean settling time of the runs that settle with a choice, s."""
-        return analysis.mean(
-            self.held_out_values(choice, self.time_s),
-            self.clusters,
-            limits=(0.0, self.longest_time_s),
-        )
+    def mean_settling_s(self, option: int) -> Estimate:
+        """The mean settling time of the runs that settle, s."""
+        longest_s = max(float(self.source.study.spans_s[:, 0].max()), self.unsettled_time_s)
+        times_s = self.time_s[option].ravel()
+        return analysis.mean(times_s, self.clusters, limits=(0.0, longest_s))
 
-    def format_settling(self, choice: "Choice", unit: str = "") -> str:
-        """Return settling with a choice as text: mean time, ``never``, or share that settles."""
-        settled = np.isfinite(self.held_out_values(choice, self.time_s))
+    def format_settling(self, option: int, unit: str = "") -> str:
+        """Return settling with an option as text: mean time, ``never``, or share that settles."""
+        settled = np.isfinite(self.time_s[option])
         if settled.all():
-            return format_estimate(self.mean_settling_s(choice), unit, 0)
+            return format_estimate(self.mean_settling_s(option), unit, 0)
         return (
-            f"{format_percent(self.success_share(choice))} % settle" if settled.any() else "never"
+            f"{format_percent(self.success_share(option))} % settle" if settled.any() else "never"
         )
 
+    def options_like_best(self) -> list[int]:
+        """The options that the draws do not tell apart from the best, the fastest first.
 
-class Choice(NamedTuple):
-    """The best of some options.
+        Neither fewer of the best's runs never settle, by the interval of the paired difference, nor
+        do they settle sooner on average, where a run that never settles counts its whole length.
+        """
+        capped_s = np.minimum(self.time_s, self.unsettled_time_s).mean(axis=1)
+        settled = np.isfinite(self.time_s).mean(axis=1)
+        found = []
+        for option in range(len(self.time_s)):
+            later = analysis.mean_difference(capped_s[option], capped_s[self.best])
+            fewer = analysis.mean_difference(settled[self.best], settled[option])
+            if option != self.best and later.low <= 0 and not fewer.low > 0:
+                found.append(option)
+        return sorted(found, key=lambda option: capped_s[option].mean())
 
-    Attributes:
-        option: the best according to all draws, which names it.
-        option_per_draw: (draws,) the option that judges each draw, chosen by other draws.
-    """
+    def held_out_runs(self) -> tuple[NDArray, NDArray]:
+        """Return settling times on draws that did not choose the option, and their clusters.
 
-    option: int
-    option_per_draw: NDArray
+        Each half of the draws is judged with the option that is best on the other half.
+        """
+        chosen = held_out_choices(
+            self.time_s, lambda half: best_option(half, self.unsettled_time_s)
+        )
+        times_s = self.time_s[chosen, :, np.arange(self.n_draws)]
+        return times_s.ravel(), np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
 
 
 def study_title(source: Source) -> str:
@@ -223,9 +222,16 @@ def study_title(source: Source) -> str:
     )
 
 
-def warning_facts(source: Source, *, warnings_shown: bool) -> Iterator[Fact]:
-    """Yield the warnings of a study, unless the user has seen them."""
-    yield from (Fact("Warning", line, True) for line in (() if warnings_shown else source.warnings))
+def split_warnings(source: Source, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
+    """Return the warnings of a study: of a band out of reach, which comes first, and all others.
+
+    Those that the user has seen are left out, but for the first.
+    """
+    study, recorded = source.study, source.study.is_recorded
+    bands = [] if recorded else [*band_warnings(study)]
+    others = () if warnings_shown else source.warnings
+    facts = [Fact("Warning", line, True) for line in others if line not in bands]
+    return [Fact("Band", line, True) for line in bands], facts
 
 
 def process_noise_caution(source: Source) -> Iterator[Fact]:
@@ -262,38 +268,29 @@ def fit_cautions(source: Source, rare: float = 0.0) -> Iterator[Fact]:
 
 
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """Yield the best option, its accuracy, and the basis of the answer."""
-    yield from _best_option_facts(outcome)
+    """Yield the best option, those like it, its rivals, its accuracy and the basis."""
+    names, best = outcome.choices.options, outcome.best
+    sentence = _settling_sentence(outcome)
+    if len(names) == 1:
+        yield Fact("Settling", sentence)
+    else:
+        yield Fact("Best", f"{names[best]}: {sentence}")
+        yield from _comparison_facts(outcome)
     if "gravity_fit" in outcome.source.study.methods:
         yield Fact("Refits", REFITS)
     yield _accuracy_fact(outcome)
     yield from _basis_facts(outcome)
 
 
-def _best_option_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """Yield the best option and its rivals."""
-    options, best = outcome.choices.options, outcome.overall_choice
-    if len(options) == 1:
-        yield Fact("Settling", _settling_sentence(outcome, best))
-        return
-    yield Fact("Best", f"{options[best.option]}: {_settling_sentence(outcome, best)}")
-    rivals = list(_rival_choices(outcome, best))
-    if rivals:
-        text = "; ".join(
-            f"{name}: {outcome.format_settling(choice, 's')}" for name, choice in rivals
-        )
-        yield Fact("Others", text)
-
-
-def _settling_sentence(outcome: SweepOutcome, choice: Choice) -> str:
-    """Return the share of runs that settle with a choice, and their mean time."""
-    settled = np.isfinite(outcome.held_out_values(choice, outcome.time_s))
+def _settling_sentence(outcome: SweepOutcome) -> str:
+    """Return the share of the best option's runs that settle, and their mean time."""
+    settled = np.isfinite(outcome.time_s[outcome.best])
     if not settled.any():
         return "no run settles"
-    time = format_estimate(outcome.mean_settling_s(choice), "s", 0)
+    time = format_estimate(outcome.mean_settling_s(outcome.best), "s", 0)
     if settled.all():
         return f"{_describe_all_runs(outcome)} settles, after {time} on average"
-    share = format_percent(outcome.success_share(choice))
+    share = format_percent(outcome.success_share(outcome.best))
     return f"{share} % of the runs settle, after {time} on average"
 
 
@@ -308,28 +305,34 @@ def _describe_all_runs(outcome: SweepOutcome) -> str:
     return "every run"
 
 
-def _rival_choices(outcome: SweepOutcome, best: Choice) -> Iterator[tuple[str, Choice]]:
-    """Yield the rivals of the best option, each the best of its kind."""
-    names = outcome.choices.options
-    for kind in outcome.choices.rival_options(best.option):
-        choice = outcome.choose_best(kind)
-        name = names[choice.option]
-        yield name if name != names[best.option] else "the next best", choice
+def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the options that are not told apart from the best, and the best of each other kind."""
+    names, best = outcome.choices.options, outcome.best
+    is_comparable = not outcome.source.study.is_recorded and np.isfinite(outcome.time_s[best]).any()
+    like = outcome.options_like_best() if is_comparable else []
+    if like:
+        listed = "; ".join(names[option] for option in like[:_MOST_LIKE])
+        more = f"; {len(like) - _MOST_LIKE} more" if len(like) > _MOST_LIKE else ""
+        yield Fact("Not told apart", f"{listed}{more} (on {format_count(outcome.n_draws, 'draw')})")
+    rivals = [outcome.best_of(kind) for kind in outcome.choices.rival_options(best)]
+    rivals = [rival for rival in rivals if rival not in like[:_MOST_LIKE]]
+    if rivals:
+        texts = (f"{names[rival]}: {outcome.format_settling(rival, 's')}" for rival in rivals)
+        yield Fact("Others", "; ".join(texts))
 
 
 def _accuracy_fact(outcome: SweepOutcome) -> Fact:
     """Return the heading error at the end, and its limiting factor."""
-    best = outcome.overall_choice
-    error, floor = (
-        outcome.held_out_values(best, values) for values in (outcome.error, outcome.floor)
+    best = outcome.best
+    error, floor, time_s = (
+        values[best].ravel() for values in (outcome.error, outcome.floor, outcome.time_s)
     )
     found = analysis.rms(error, outcome.clusters)
     aim = "the reference" if outcome.source.study.is_recorded else "true north"
     text = f"{format_heading_error(found)}' rms from {aim}"
     known = np.isfinite(error)
-    never = np.isinf(outcome.held_out_values(best, outcome.time_s))
     squares = float(np.sum(error[known] ** 2))
-    if float(np.sum(error[known & never] ** 2)) > squares / 2:
+    if float(np.sum(error[known & np.isinf(time_s)] ** 2)) > squares / 2:
         return Fact("Accuracy", f"{text}, mostly of runs that never settle")
     if outcome.source.study.is_recorded or not np.isfinite(floor).any():
         return Fact("Accuracy", text)
@@ -340,82 +343,90 @@ def _accuracy_fact(outcome: SweepOutcome) -> Fact:
 
 
 def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """The success, and which draws chose and which judged."""
-    study, draws, best = outcome.source.study, outcome.n_draws, outcome.overall_choice
-    criterion, error = (
-        outcome.criterion,
-        outcome.held_out_values(outcome.overall_choice, outcome.error),
-    )
-    text = f"{format_percent(outcome.success_share(best))} % {criterion.description}"
+    """Yield the success, the number of draws, and why the study stopped."""
+    study, draws, criterion = outcome.source.study, outcome.n_draws, outcome.criterion
+    text = f"{format_percent(outcome.success_share(outcome.best))} % {criterion.description}"
     if not criterion.truth:
+        error = outcome.error[outcome.best].ravel()
         right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
         text += f", {format_percent(right)} % of north"
     yield Fact("Success", text)
-    names = outcome.choices.options
-    text = f"{draws}{' (few)' if draws < MIN_DRAWS_FOR_INTERVALS else ''}"
-    if len(names) > 1 and draws >= MIN_DRAWS_TO_SPLIT:
-        text += ": each half evaluates the choice of the other"
-        text += ", and they chose differently" if len({*best.option_per_draw[:2]}) > 1 else ""
-    yield Fact("Starts" if study.is_recorded else "Draws", text)
-    if study.stop_when and outcome.source.whole_draws is None:
+    few = " (few)" if draws < MIN_DRAWS_FOR_INTERVALS else ""
+    yield Fact("Starts" if study.is_recorded else "Draws", f"{draws}{few}")
+    if rule := study.stop_when if outcome.source.whole_draws is None else None:
         rows = outcome.source.rows(stopping.required_columns(study))
         found = stopping.analyse_interim(study, rows, draws)
-        yield Fact("Stopped", render_sentence("stopped", rule=study.stop_when, reached=found))
+        enough = "narrow enough" if found.is_sufficient else "not narrow enough, but all are drawn"
+        yield Fact(
+            "Stopped",
+            f"after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
+            f" variants has a half-width of {found.half_width:.3g}, {enough} (requested:"
+            f" {rule.half_width:g})",
+        )
 
 
 def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
-    draws, study = outcome.n_draws, outcome.source.study
-    several = len(outcome.choices.options) > 1
-    unit = "start time" if study.is_recorded else "draw"
-    if several and draws < MIN_DRAWS_TO_SPLIT:
-        text = f"only {format_count(draws, unit)}: no other {unit}s evaluate the choice"
-        yield Fact("Caution", text, True)
+    best, study = outcome.best, outcome.source.study
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    best = outcome.overall_choice
-    ok = outcome.held_out_values(best, outcome.settled)
-    off_floor = outcome.held_out_values(best, outcome.off_floor)
-    if off_floor.sum() > _RARE * ok.sum():
+    elif (text := describe_held_out(outcome)) and not _agrees_when_held_out(outcome):
+        yield Fact("Caution", text, True)
+    ok, off = (int(x[best].sum()) for x in (np.isfinite(outcome.time_s), outcome.off_floor))
+    if off > _RARE * ok:
+        number = "All" if off == ok else f"{off:,} of the"
         yield Fact(
             "Caution",
-            render_sentence(
-                "off_floor", off=int(off_floor.sum()), ok=int(ok.sum()), criterion=outcome.criterion
-            ),
+            f"{number} {format_count(ok, 'successful run')} of the best end more than"
+            f" {outcome.criterion.band_arcmin:g}' from their bias floors: they have not converged,"
+            " and their errors happen to be small",
             True,
         )
     yield from process_noise_caution(outcome.source)
 
 
+def describe_held_out(outcome: SweepOutcome) -> str:
+    """Settling on draws that did not choose the option, in words; empty if there are too few."""
+    if outcome.n_draws < _MIN_DRAWS_TO_SPLIT or len(outcome.time_s) == 1:
+        return ""
+    times_s, draws = outcome.held_out_runs()
+    share = analysis.share(np.isfinite(times_s), draws)
+    text = f"{format_percent(share)} % of the runs settle"
+    if share.value:
+        text += f", after {format_estimate(analysis.mean(times_s, draws), 's', 0)}"
+    return f"on draws that did not choose the option, {text}"
+
+
+def _agrees_when_held_out(outcome: SweepOutcome) -> bool:
+    """Whether settling on draws that did not choose lies within the intervals of the best."""
+    times_s, draws = outcome.held_out_runs()
+    own = outcome.success_share(outcome.best), outcome.mean_settling_s(outcome.best)
+    held_out = analysis.share(np.isfinite(times_s), draws), analysis.mean(times_s, draws)
+    return not any(x.value < y.low or x.value > y.high for x, y in zip(held_out, own, strict=True))
+
+
 def condition_table(outcome: SweepOutcome) -> Table | None:
     """The best option at each point of the condition that matters most."""
-    choices, overall = outcome.choices, outcome.overall_choice
-    time_s = np.minimum(outcome.time_s[overall.option], outcome.unsettled_time_s).mean(axis=-1)
+    choices, overall = outcome.choices, outcome.best
+    time_s = np.minimum(outcome.time_s[overall], outcome.unsettled_time_s).mean(axis=-1)
     axis = choices.most_influential_axis(time_s)
     if axis is None:
         return None
-
-    def format_row(conditions: list[int]) -> list[str]:
-        outcome_here = outcome.select_conditions(conditions)
-        if len(choices.options) == 1:
-            error = analysis.rms(
-                outcome_here.held_out_values(overall, outcome_here.error), outcome_here.clusters
-            )
-            return [
-                format_percent(outcome_here.success_share(overall)),
-                outcome_here.format_settling(overall),
-                format_heading_error(error),
-            ]
-        best = outcome_here.choose_best()
-        rival = (
-            outcome_here.choose_best(choices.options_without_reset)
-            if choices.options_without_reset
-            else overall
-        )
-        return [
-            choices.options[best.option],
-            outcome_here.format_settling(best),
-            outcome_here.format_settling(rival),
-        ]
-
-    return choices.condition_table(axis, format_row, "settles after, mean")
+    reference = choices.options_without_reset or [overall]
+    header = ["settled (%)", "settles after, mean (s)", "error, rms (arcmin)"]
+    if len(choices.options) > 1:
+        rival = "no reset (s)" if choices.options_without_reset else "best overall (s)"
+        header = [f"best {choices.option_noun}", "settles after, mean (s)", rival]
+    rows = []
+    for point, conditions in choices.conditions_by_point(axis).items():
+        here = outcome.select_conditions(conditions)
+        if len(choices.options) > 1:
+            best, other = here.best, here.best_of(reference)
+            cells = [choices.options[best], here.format_settling(best), here.format_settling(other)]
+        else:
+            error = analysis.rms(here.error[0].ravel(), here.clusters)
+            share = format_percent(here.success_share(0))
+            cells = [share, here.format_settling(0), format_heading_error(error)]
+        rows.append([format_condition(axis, point), *cells])
+    first = condition_header(axis)
+    return Table(f"Per {first}", [first, *header], rows)

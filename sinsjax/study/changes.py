@@ -16,6 +16,7 @@ from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
+_WORD = re.compile(r"[+-]?[A-Za-z_][\w+-]*")  # also an order of axes, as -y-xz
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
@@ -55,7 +56,7 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
             if _COMMA.fullmatch(value):
                 hint = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
                 raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
-            if not value.isidentifier():
+            if not _WORD.fullmatch(value):
                 raise InputError(
                     f"--set {text}: {value} is not a TOML value (quote text)"
                 ) from None

@@ -143,7 +143,7 @@ def test_page_names_study_file_and_set_overrides(
     config = write_study(tmp_path / "mine", **TWO).relative_to(tmp_path)
     assert sinsjax("sweep", config, "-o", "out", "--set", "study.seed=3")[0] == 0
     assert sinsjax("report", "out", "--html", "page.html")[0] == 0
-    assert "<footer>mine/study.toml with study.seed=3; " in Path("page.html").read_text()
+    assert "<p>mine/study.toml with study.seed=3; " in Path("page.html").read_text()
 
 
 @pytest.mark.nightly

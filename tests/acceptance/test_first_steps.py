@@ -258,7 +258,7 @@ def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) ->
     for command, study in {"run": "short", "sweep": "short", "tune": "tuned"}.items():
         code, told, error = sinsjax(command, study, "-o", command)
         assert code == 0 and warning not in told and error.count(f"Warning: {warning}") == 1
-    assert "Warning" in sinsjax("report", "sweep")[1]
+    assert "Band  " in sinsjax("report", "sweep")[1]
 
 
 @pytest.mark.parametrize(

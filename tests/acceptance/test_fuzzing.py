@@ -18,7 +18,7 @@ from sinsjax.execution import resume
 from sinsjax.execution.source import Source
 from sinsjax.execution.tasks import Job
 
-EXAMPLES = {"studies": 1000, "manifests": 500, "records": 500}
+EXAMPLES = {"studies": 1000, "manifests": 500, "records": 1000}
 LATE_S = 60
 """Limit for hanging cases only; a case may take two seconds on an idle machine."""
 

@@ -14,9 +14,9 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.arena import export
-from sinsjax.arena.export import ExportOptions, export_study, plan_export, write_export
+from sinsjax.arena.export import export_study, plan_export, write_export
 from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
-from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.errors import InputError
 from sinsjax.maths.rotations import misalignment
 from sinsjax.records import read_csv, read_parquet
 from sinsjax.study.study import Study
@@ -42,13 +42,12 @@ def read_initial(folder: Path) -> list[dict[str, str]]:
 
 @pytest.mark.parametrize("kind", export.FORMATS)
 def test_exported_record_has_the_engines_increments_to_the_bit(kind: str, tmp_path: Path) -> None:
-    options = ExportOptions(format=kind)
-    plan = plan_export(study(), options)
-    write_export(plan, tmp_path / "out")
+    plan = plan_export(study(), format=kind)
+    export_study(study(), tmp_path / "out", format=kind)
     read = read_parquet if kind == "parquet" else read_csv
     for draw in range(3):
         path = tmp_path / "out" / plan.record_name(0, draw)
-        record = read(path, export.record_layout(options))
+        record = read(path, export.record_layout(plan))
         made = sinsjax.simulated_record(study(), draw)
         np.testing.assert_array_equal(record.dtheta, made.dtheta)
         np.testing.assert_array_equal(record.dv, made.dv)
@@ -160,22 +159,13 @@ def test_truth_is_the_bases_attitude_unless_blind(tmp_path: Path) -> None:
 
 
 def test_interrupted_export_is_unfinished_and_is_made_again(tmp_path: Path) -> None:
-    plan, out = plan_export(study()), tmp_path / "out"
-    written: list[int] = []
-    with pytest.raises(StudyInterrupted, match="1 of 3 records"):
-        write_export(
-            plan,
-            out,
-            on_record=lambda done, _: written.append(done),
-            is_stopped=lambda: bool(written),
-        )
+    out, whole = tmp_path / "out", export_study(study(), tmp_path / "whole")
+    steps = write_export(plan_export(study()), out)
+    assert [next(steps), next(steps)] == [0, 1]
+    steps.close()
     with pytest.raises(InputError, match="the export is unfinished"):
         export.read_export(out)
-    again: list[int] = []
-    write_export(plan, out, overwrite=True, on_record=lambda done, _: again.append(done))
-    assert again == [1, 2, 3]
-    whole = tmp_path / "whole"
-    write_export(plan, whole)
+    assert [*write_export(plan_export(study()), out, overwrite=True)] == [0, 1, 2, 3]
     for path in sorted(whole.glob("imu/*")):
         assert path.read_bytes() == (out / "imu" / path.name).read_bytes()
     assert export.read_export(out)[0] == study()
@@ -216,3 +206,5 @@ def test_directory_with_other_files_or_an_export_is_refused(tmp_path: Path) -> N
     out = export_study(study(), tmp_path / "out")
     with pytest.raises(InputError, match="already contains an export"):
         export_study(study(), out)
+    with pytest.raises(InputError, match=r"\[passes\]: a program reads a record once"):
+        export_study(small_study(passes={"stored_s": 2.0}), "nowhere")

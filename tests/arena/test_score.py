@@ -1,7 +1,9 @@
 """Results that come back: judged as any run, compared on the same draws, or refused in one line."""
 
 import json
+import os
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ import sinsjax
 from sinsjax.analysis.tables import numeric_column
 from sinsjax.arena.comparison import FAILED_ARCMIN, compare
 from sinsjax.arena.export import export_study
+from sinsjax.arena.frames import from_angles, to_quaternion
 from sinsjax.arena.runs import add_program, condition_keys
 from sinsjax.arena.score import Score, score_results
 from sinsjax.errors import InputError
@@ -144,47 +147,36 @@ def test_rows_of_own_methods_are_those_of_the_sweep(arena: Arena, tmp_path: Path
                 assert here[name].to_pylist() == there[name].to_pylist(), name
 
 
-@pytest.mark.nightly
-def test_without_a_sweep_the_study_is_run_here(arena: Arena, tmp_path: Path) -> None:
-    path = arena.write(arena.history(), tmp_path / "mine.parquet")
-    alone = score_results(arena.export, path, out=tmp_path / "alone")
-    swept = arena.score(arena.history(), tmp_path)
-    columns = ["run_id", "phi_u_arcmin"]
-    assert sinsjax.read_summary(alone.directory, columns) == sinsjax.read_summary(
-        swept.directory, columns
-    )
-
-
-def test_results_may_be_quaternions_of_the_other_frame_in_radians_or_by_draw(
+def test_results_may_be_quaternions_of_the_other_frame_or_by_draw(
     arena: Arena, tmp_path: Path
 ) -> None:
     table = arena.last()
-    pitch, roll, yaw = (np.radians(table[f"{a}_deg"].to_numpy()) for a in ("pitch", "roll", "yaw"))
-    base = table.select(["run_id", "time_s", "study"])
+    angles = {name: table[name].to_numpy() for name in ("pitch_deg", "roll_deg", "yaw_deg")}
+    radians = np.radians(np.stack([*angles.values()], axis=-1))
+    q = to_quaternion(from_angles(radians, "enu"), "ned")
     first = pyarrow.csv.read_csv(arena.export / "initial.csv").to_pandas().set_index("run_id")
-    places = first.loc[table["run_id"].to_numpy()]
-    by_draw = pa.table(
-        {"draw": places["draw_id"].to_numpy(), "variant": places["variant_id"].to_numpy()}
-    )
-    for name in ("time_s", "study"):
-        by_draw = by_draw.append_column(name, table[name])
-    from sinsjax.arena.frames import from_angles, to_quaternion
-
-    q = to_quaternion(from_angles(np.stack([pitch, roll, yaw], -1), "enu"), "ned")
-    forms = {
-        "rad": (base, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": yaw}, {}),
-        "draw": (by_draw, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": yaw}, {}),
-        "ned": (base, {"pitch_rad": pitch, "roll_rad": roll, "yaw_rad": -yaw}, {"frame": "ned"}),
-        "heading": (base, {"pitch_rad": pitch, "roll_rad": roll, "heading_rad": -yaw}, {}),
-        "q": (base, {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}, {"frame": "ned"}),
+    by_draw = first.loc[table["run_id"].to_numpy()]
+    run = {"run_id": table["run_id"]}
+    forms: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+        "draw": ({key: by_draw[key].to_numpy() for key in ("draw_id", "variant_id")}, angles),
+        "ned": (run, angles | {"yaw_deg": -angles["yaw_deg"]}),
+        "q ned": (run, {f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}),
     }
     expected = numeric_column(rows_of(arena.score(table, tmp_path), "mine"), "phi_u_arcmin")
-    for name, (columns, angles, options) in forms.items():
-        for key, values in angles.items():
-            columns = columns.append_column(key, pa.array(values))
-        score = arena.score(columns, tmp_path, overwrite=True, **options)
+    for name, (runs, attitude) in forms.items():
+        given = pa.table(runs | {"time_s": table["time_s"], "study": table["study"]} | attitude)
+        frame = {"frame": "ned"} if "ned" in name else {}
+        score = arena.score(given, tmp_path, overwrite=True, **frame)
         found = numeric_column(rows_of(score, "mine"), "phi_u_arcmin")
         np.testing.assert_allclose(found, expected, atol=1e-6, err_msg=name)
+
+
+def test_frame_and_digest_may_be_metadata_of_a_parquet_file(arena: Arena, tmp_path: Path) -> None:
+    table = arena.last().drop_columns("study")
+    path = tmp_path / "mine.parquet"
+    pq.write_table(table.replace_schema_metadata({"study": arena.digest, "frame": "ned"}), path)
+    score = score_results(arena.export, path, against=arena.sweep, out=tmp_path / "scored")
+    assert "the attitudes of mine: is yaw mirrored" in score.warnings[-1]
 
 
 def test_sigmas_give_nees_and_the_share_of_p_above_the_error(arena: Arena, tmp_path: Path) -> None:
@@ -235,8 +227,8 @@ def test_missing_and_unfinished_runs_are_failures_and_listed(arena: Arena, tmp_p
     )
     score = arena.score(table.filter(keep), tmp_path)
     assert score.missing == [ids[3], ids[5]]
-    assert f"2 of {len(ids)} runs have no row at their end" in score.warnings[0]
-    assert f"run_id {ids[5]} ends at 39 s, expected a row at 40 s" in score.warnings[1]
+    missing = f"2 of {len(ids)} runs have no row at their end, 40 s, and count as failures"
+    assert f"{missing}: run_id {ids[3]}, {ids[5]}" in score.warnings[0]
     rows = rows_of(score, "mine").to_pandas()
     assert (rows["status"] == "nonfinite").sum() == 2
     errors = np.abs(np.nan_to_num(rows["phi_u_arcmin"], nan=FAILED_ARCMIN))
@@ -344,83 +336,120 @@ def test_runs_made_elsewhere_are_not_repeated(
 
 
 HEADER = "run_id,time_s,yaw_deg,pitch_deg,roll_deg"
-
-
-def text(arena: Arena, *rows: str, header: str = HEADER) -> str:
-    return "\n".join([f"# study = {arena.digest}", header, *rows, ""])
-
-
 ROW = "0,40,50,4,-7"
-FAULTS: dict[str, tuple[Any, str]] = {
-    "digest": (
-        lambda a: text(a, ROW).replace(a.digest, "0123456789abcdef"),
-        "is of another study: digest 0123456789abcdef there",
+
+
+def text(*rows: str, header: str = HEADER, first: str = "# study = DIGEST") -> str:
+    return "\n".join([first, header, *rows, ""])
+
+
+FAULTS = {
+    "digest": (text(ROW, first="# study = 0123456789abcdef"), "is of another study: digest 0123"),
+    "no digest": (text(ROW, first=""), "has no digest of its study (a column 'study' with "),
+    "digest of a row": (
+        text(f"{ROW},DIGEST", f"{ROW},0123", header=f"{HEADER},study"),
+        "is of another study: digest 0123 there",
     ),
-    "no digest": (
-        lambda a: text(a, ROW).split("\n", 1)[1],
-        "has no digest of its study (a column 'study' with ",
+    "digests": (text(ROW, first="# study = DIGEST\n# study = DIGEST"), "has two lines '# study"),
+    "frames": (
+        text(ROW, first="# study = DIGEST\n# frame = enu\n% frame: ned"),
+        "has two lines '# frame = ...' (keep one)",
     ),
+    "column twice": (text(f"{ROW},1", header=f"{HEADER},run_id"), "has two columns 'run_id'"),
     "duplicate": (
-        lambda a: text(a, ROW, "1,40,50,4,-7", ROW),
-        "row 5: repeats run_id 0 at 40 s (row 3 has it already)",
+        text(ROW, "1,40,50,4,-7", ROW),
+        "row 5: repeats run_id 0 at 40 s (row 3 has it)",
     ),
-    "unknown": (lambda a: text(a, "777,40,50,4,-7"), "row 3: no run of the export has this run_id"),
+    "unknown": (text("777,40,50,4,-7"), "row 3: no run of the export has this run_id (777;"),
+    "run": (text(ROW, "0.5,40,50,4,-7"), "row 4: no run of the export has this run_id (0.5;"),
+    "variant": (
+        text("0,0.5,40,50,4,-7", header=f"draw_id,variant_id{HEADER[6:]}"),
+        "row 3: no run of the export has this draw_id and variant_id (0, 0.5;",
+    ),
+    "draw": (
+        text("0.25,1,40,50,4,-7", header=f"draw_id,variant_id{HEADER[6:]}"),
+        "row 3: no run of the export has this draw_id and variant_id (0.25, 1;",
+    ),
     "nan": (
-        lambda a: text(a, "0,40,nan,4,-7"),
-        "row 3: column 'yaw_deg': 'nan' is not finite (leave the row out: a run without one",
+        text("0,40,nan,4,-7"),
+        "row 3: column 'yaw_deg': is not finite (leave the row out: a run without one",
     ),
-    "late": (lambda a: text(a, "0,41,50,4,-7"), "row 3: time_s = 41 is beyond its run, 0 to 40 s"),
-    "cut": (lambda a: text(a, ROW, ROW.replace("40", "39"), "1,40,50"), "the header has 5 columns"),
-    "column": (lambda a: text(a, ROW, header="run_id,time,yaw_deg,pitch_deg,roll_deg"), "time_s"),
-    "sigma": (
-        lambda a: text(a, f"{ROW},0", header=f"{HEADER},sigma_yaw_deg"),
-        "row 3: sigma_yaw_deg must be above 0",
+    "word": (text("0,40,north,4,-7"), "Row #3: CSV conversion error to double: invalid value"),
+    "large": (text(ROW, "1,40,50,1.1e6,-7"), "row 4: an angle is beyond 1e+06 deg"),
+    "late": (text("0,41,50,4,-7"), "row 3: time_s = 41 is beyond its run, 0 to 40 s"),
+    "cut": (text(ROW, "1,39,50,4,-7", "1,40,50"), "Row #5: Expected 5 columns, got 3"),
+    "column": (text(ROW, header=HEADER.replace("time_s", "time")), "lacks time_s (README.txt"),
+    "unit": (
+        text(ROW, header=HEADER.replace("pitch_deg", "pitch_rad")),
+        "column 'pitch_rad': must be one of pitch_deg, roll_deg",
     ),
+    "sigma": (text(f"{ROW},0", header=f"{HEADER},sigma_yaw_deg"), "row 3: sigma_yaw_deg must be"),
     "quaternion": (
-        lambda a: text(a, "0,40,1,1,0,0", header="run_id,time_s,q_w,q_x,q_y,q_z"),
+        text("0,40,1,1,0,0", header="run_id,time_s,q_w,q_x,q_y,q_z"),
         "row 3: q_w, q_x, q_y, q_z is no unit quaternion",
     ),
-}  # fmt: skip
+    "empty": ("", "Empty CSV file"),
+}
 
 
 @pytest.mark.parametrize("case", FAULTS)
 def test_faulty_results_are_one_line_and_write_nothing(
     case: str, arena: Arena, tmp_path: Path, command: Command
 ) -> None:
-    make, message = FAULTS[case]
-    path = tmp_path / "mine.csv"
-    path.write_text(make(arena))
-    out = tmp_path / "out"
+    content, message = FAULTS[case]
+    path, out = tmp_path / "mine.csv", tmp_path / "out"
+    path.write_text(content.replace("DIGEST", arena.digest))
     code, _, error = command("score", arena.export, path, "-o", out, "--against", arena.sweep)
     assert code == 2 and len(error.splitlines()) == 1
     assert str(path) in error and message in error
     assert not out.exists()
 
 
+def test_pipe_or_another_frame_than_that_of_the_file_is_refused(
+    arena: Arena, tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    path = tmp_path / "mine.csv"
+    path.write_text(text(ROW, first=f"# study = {arena.digest}\n# frame = enu"))
+    for file, message in (("pipe.csv", "is not a regular file"), ("mine.csv", "--frame is ned")):
+        with pytest.raises(InputError, match=rf"{re.escape(file)}: .*{message}"):
+            score_results(arena.export, tmp_path / file, against=arena.sweep, frame="ned")
+
+
+@pytest.mark.parametrize("name", ["initial.csv", "study.toml", "imu/draw_00003.csv"])
+def test_export_that_has_changed_is_refused(name: str, arena: Arena, tmp_path: Path) -> None:
+    changed = Path(shutil.copytree(arena.export, tmp_path / "changed"))
+    (changed / name).write_text((changed / name).read_text().replace("1", "2", 1))
+    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    with pytest.raises(InputError, match=rf"{name}: has changed since it was exported"):
+        score_results(changed, path, against=arena.sweep)
+
+
 def test_other_mistakes_of_a_score_are_one_line(
     arena: Arena, tmp_path: Path, command: Command
 ) -> None:
     path = arena.write(arena.last(), tmp_path / "mine.csv")
-    other = small_study(study={"draws": 2})
+    other, out, against = small_study(study={"draws": 2}), tmp_path / "out", "--against"
     store_results(tmp_path / "other", other, synthetic_summary(other))
-    changed = tmp_path / "changed"
-    export_study(arena.study, changed)
-    (changed / "initial.csv").write_text("run_id\n0\n")
+    few = arena.study.replace({"study.draws": 3})
+    rows = sinsjax.read_summary(arena.sweep).slice(0, 3 * few.n_variants)
+    store_results(tmp_path / "few", few, rows)
     cases = {
-        "contains results of another study": (arena.export, path, "--against", tmp_path / "other"),
-        "contains no export": (arena.sweep, path),
-        "has changed since it was exported": (changed, path),
-        "'inertial' is a method of sinsjax": (arena.export, path, "--name", "inertial"),
+        "contains results of another study": (path, against, tmp_path / "other"),
+        "few: has 3 whole draws, 0:8 are exported": (path, against, tmp_path / "few"),
+        "there is no such file": (tmp_path / "none.csv",),
+        "'inertial' is a method of sinsjax": (path, "--name", "inertial"),
+        "--name: '../x' must begin with a letter or digit": (path, "--name", "../x"),
+        "is read, and cannot be written to": (path, against, arena.sweep, "-o", arena.sweep),
     }
     for message, words in cases.items():
-        code, _, error = command("score", *words, "-o", tmp_path / "out")
+        code, _, error = command("score", arena.export, "-o", out, *words)
         assert code == 2 and len(error.splitlines()) == 1 and message in error, error
-        assert not (tmp_path / "out").exists()
-    assert (
-        command("score", arena.export, path, "-o", tmp_path / "out", "--against", arena.sweep)[0]
-        == 0
-    )
-    again = command("score", arena.export, path, "-o", tmp_path / "out", "--against", arena.sweep)
+        assert not out.exists()
+    assert "contains no export" in command("score", arena.sweep, path)[2]
+    score = ("score", arena.export, path, "-o", out, against, arena.sweep)
+    assert command(*score)[0] == 0
+    again = command(*score)
     assert again[0] == 2 and "already contains results" in again[2]
 
 
@@ -473,36 +502,6 @@ def test_program_joins_cases_and_zips_with_every_condition() -> None:
 
 
 @pytest.mark.nightly
-def test_aligned_record_gives_the_heading_of_the_sweep(tmp_path: Path) -> None:
-    coarse = {"coarse_method": "inertial", "coarse_duration_s": 10.0}
-    method = {"method": "kalman5"}
-    study = small_study(
-        study={"duration_s": 20.0, "window_s": [10, 20], "draws": 2},
-        coarse=coarse,
-        alignment=method | dict.fromkeys(("phi_e0_deg", "phi_n0_deg", "phi_u0_deg"), 0.0),
-    )
-    swept = sinsjax.run(study).summary["heading_deg"].to_pylist()
-    folder = export_study(study, tmp_path / "export", format="psins", frame="enu")
-    names = ["wx", "wy", "wz", "vx", "vy", "vz", "t"]
-    record: dict[str, Any] = {"format": "csv", "columns": names, "time_column": "t"}
-    record |= {"gyro_columns": names[:3], "accel_columns": names[3:6]}
-    recorded = sinsjax.study_from_dict(
-        {
-            "study": {"duration_s": 10.0, "window_s": [5.0, 10.0]},  # after the coarse stage
-            "earth": {"latitude_deg": 32.0},
-            "record": record | {"gyro_unit": "rad", "accel_unit": "m_per_s"},
-            "coarse": coarse,
-            "alignment": method | {"feedback_interval_s": 1.0},
-            "filter": study.to_dict()["filter"],
-        }
-    )
-    for draw in range(study.n_draws):
-        path = folder / "imu" / f"draw_{draw:05d}.txt"
-        aligned = sinsjax.align(path, recorded).summary["heading_deg"][0].as_py()
-        assert aligned == pytest.approx(swept[draw], abs=1e-6)
-
-
-@pytest.mark.nightly
 def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path) -> None:
     policies = {"reset_trigger": ["none", "linearisation"], "trigger_threshold": [0.0, 1.0]}
     axes = {"policy": policies, "phi_u0_deg": [5.0, 30.0]}
@@ -517,41 +516,12 @@ def test_settings_of_triggers_do_not_split_the_runs_of_a_program(tmp_path: Path)
         assert same["phi_u_arcmin"].nunique() == 1
 
 
-def test_sweep_with_fewer_draws_is_refused(arena: Arena, tmp_path: Path) -> None:
-    study = arena.study.replace({"study.draws": 3})
-    rows = sinsjax.read_summary(arena.sweep).slice(0, 3 * study.n_variants)
-    few = store_results(tmp_path / "few", study, rows)
-    path = arena.write(arena.last(), tmp_path / "mine.csv")
-    with pytest.raises(InputError, match=r"few: has 3 whole draws, 0:8 are exported"):
-        score_results(arena.export, path, against=few, out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("name", ["../x", ".", "", "x" * 61])
-def test_name_that_is_no_folder_is_refused(name: str, arena: Arena, tmp_path: Path) -> None:
-    path = arena.write(arena.last(), tmp_path / "mine.csv")
-    with pytest.raises(InputError, match="--name: .* must begin with a letter or digit"):
-        score_results(arena.export, path, name=name, against=arena.sweep)
-
-
-def test_sweep_and_export_are_no_target(arena: Arena, tmp_path: Path) -> None:
-    path = arena.write(arena.last(), tmp_path / "mine.csv")
-    for target in (arena.sweep, arena.export):
-        with pytest.raises(InputError, match="is read, and cannot be written to"):
-            score_results(arena.export, path, against=arena.sweep, out=target, overwrite=True)
-
-
 def test_sigma_of_the_heading_alone_gives_no_nees_and_says_so(arena: Arena, tmp_path: Path) -> None:
-    table = arena.history().append_column(
-        "sigma_heading_deg", pa.array([2.0] * len(arena.history()))
-    )
+    table = arena.history().append_column("sigma_yaw_deg", pa.array([2.0] * len(arena.history())))
     score = arena.score(table, tmp_path)
-    assert "no NEES, which needs sigma_yaw, sigma_pitch and sigma_roll" in score.warnings[0]
+    assert (
+        "no NEES, which needs sigma_yaw_deg, sigma_pitch_deg and sigma_roll_deg"
+        in score.warnings[0]
+    )
     rows = rows_of(score, "mine")
     assert rows["nees"].null_count == len(rows) and rows["sigma_u_arcmin"].null_count == 0
-
-
-def test_passes_are_refused() -> None:
-    study = small_study(passes={"stored_s": 2.0})
-    with pytest.raises(InputError, match=r"\[passes\]: a program reads a record once"):
-        export_study(study, "nowhere")

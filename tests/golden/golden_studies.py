@@ -227,7 +227,7 @@ def flattened(results: Any) -> dict[str, Any]:
 
 def numbers_of_tables(page: str) -> list[str]:
     """Return the numbers in the tables of an HTML page, one string per row, without words."""
-    rows = re.findall("<tr>(.*?)</tr>", page)
+    rows = re.findall("<tr>(.*?)</tr>", page, re.S)
     return [" ".join(_NUMBER.findall(unescape(re.sub("<[^>]+>", " ", row)))) for row in rows]
 
 

@@ -62,7 +62,7 @@ def panel_titles(figure: Figure):
 
 
 def framed_cells(axes):
-    """The corners of the frames of a panel; each has a white edge."""
+    """The corners of the frames of a panel."""
     return {frame.get_xy() for frame in axes.patches}
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from support.refusals import assert_refusal
 
 from sinsjax import records
 from sinsjax.errors import InputError
-from sinsjax.records import Record, RecordLayout, files, tables
+from sinsjax.records import Record, RecordLayout, reader
 
 DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 REAL = DATA / "lasergyro_0_900.imu"
@@ -175,17 +175,6 @@ def test_units_are_converted_to_si_increments(tmp_path, gyro_unit, accel_unit, d
     np.testing.assert_allclose(record.dv, dv * np.array([[1, 2, 3]]), 1e-12)
 
 
-@pytest.mark.parametrize("rate_hz", [None, 100.0])
-def test_time_column_gives_rate_and_start(tmp_path, rate_hz):
-    jitter = 0.002 * np.random.default_rng(1).uniform(-1, 1, 500)
-    jitter[[0, -1]] = 0
-    time_s = 20 + 0.01 * np.arange(500) + jitter
-    path = table_csv(tmp_path, time_s)
-    record = records.read_csv(path, CSV._replace(rate_hz=rate_hz))
-    assert record.rate_hz == pytest.approx(100.0, rel=1e-9)
-    assert record.t0_s == pytest.approx(19.99)
-
-
 def table_csv(folder: Path, time_s) -> Path:
     rows = [f"{float(t)!r},{k},2,3,4,5,6" for k, t in enumerate(time_s)]
     path = folder / "timed.csv"
@@ -196,11 +185,11 @@ def table_csv(folder: Path, time_s) -> Path:
 # --- mistakes
 
 
-@pytest.fixture(params=[None, 50], ids=["in one batch", "in many batches"])
+@pytest.fixture(params=[None, 6], ids=["in one batch", "in many batches"])
 def small_batches(request, monkeypatch) -> None:
-    """Set the batch size of text files, bytes."""
+    """Set the batch size of text files, lines."""
     if request.param:
-        monkeypatch.setattr(files, "BATCH_BYTES", request.param)
+        monkeypatch.setattr(reader, "_BATCH_ROWS", request.param)
 
 
 @pytest.mark.usefixtures("small_batches")
@@ -211,14 +200,14 @@ def small_batches(request, monkeypatch) -> None:
         (HEADER, "no samples"),
         (SAMPLE * 9, "row 2: 83"),
         (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
-        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", "row 6: accelerometer z: '6.5'"),
-        (HEADER + "1 l 3 4 5 6\n", "row 5: gyro y: 'l'"),
-        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: large"),
+        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", "row 6: accelerometer z: 6.5"),
+        (HEADER + "1 l 3 4 5 6\n", "row 5: column 'gyro y': 'l'"),
+        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: 1e+20"),
         (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
         ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
-        ("PK\x03\x04\n\0\0", "archive"),
+        ("PK\x03\x04\n\0\0", "UTF-8"),
     ],
 )
 def test_invalid_psins_file_is_refused(tmp_path, text, told):
@@ -244,9 +233,8 @@ ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
         (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
         (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300'"),
         (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
-        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: text"),
+        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: 7 columns 0"),
         (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
-        (HEAD + ROWS + "0.044,1,2,3,4,5,6\n", "column 'time_s': row 6: short 100"),
         (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
         (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
     ],
@@ -259,56 +247,15 @@ def test_invalid_csv_file_is_refused(tmp_path, text, told):
 
 @quick
 @given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
-def test_time_steps_may_deviate_by_half_sample(folder, steps):
-    step_s = np.array([0.01] * 300 + steps)
-    # The rate is the record's own mean, so a step this near to the limit may fall either way.
-    assume(np.abs(np.abs(step_s - 0.01) - 0.005).min() > 1e-4)
+def test_samples_are_numbered_by_their_stamps_or_refused(folder, steps):
+    step_s = np.array([0.01] * 300 + steps + [0.01] * 20)
     path = table_csv(folder, np.cumsum([1.0, *step_s]))
-    bad = np.flatnonzero(np.abs(step_s - 0.01) > 0.005)
-    # The first late stamp is no fault where one after it is in time again, by its number.
-    late = np.cumsum(step_s[bad[0] :] - 0.01) if len(bad) else np.zeros(1)
-    assume(np.abs(np.abs(late) - 0.005).min() > 2e-4)
-    layout = CSV._replace(rate_hz=None)
-    if not len(bad):
-        assert len(read_whole(path, layout).dtheta) == 301 + len(steps)
-    elif np.abs(late).min() > 0.005:
-        # A gap may be filled, or lie outside what is used; a short step after it is refused first.
-        named = [k for k in bad if k == bad[0] or (step_s[bad[0]] > 0.01 and step_s[k] < 0.01)]
-        line = refusal_line(read_whole, path, layout)
-        assert any(f"row {k + 3}: " in line for k in named), line
-
-
-@quick
-@given(
-    kind=st.sampled_from(["imu", "csv", "parquet"]),
-    place=st.floats(0, 1, exclude_max=True),
-    new=st.binary(max_size=4)
-    | st.sampled_from([b"nan", b"1e999", b'"', b"\xff", b"\r", b"9" * 30]),
-    removed=st.integers(0, 40),
-)
-def test_damaged_file_is_read_or_refused(folder, kind, place, new, removed):
-    path, layout = folder / f"damaged.{kind}", CSV._replace(format=kind)
-    if kind == "imu":
-        layout = records.PSINS_LAYOUT
-        path.write_text(HEADER + SAMPLE * 4)
-    elif kind == "csv":
-        path.write_text(HEAD + ROWS)
-    else:
-        record = Record(np.ones((4, 3)), np.ones((4, 3)), 100.0)
-        records.write_parquet(record, path, layout)
-    data = path.read_bytes()
-    at = int(place * len(data))
-    path.write_bytes(data[:at] + new + data[at + removed :])
     try:
-        record = records.read_record(path, layout)
+        record = records.read_csv(path, CSV._replace(rate_hz=None))
     except InputError as error:
-        assert "\n" not in str(error)
+        assert "short step" in str(error) and min(steps) < 0.0095
     else:
-        missing = ~np.isfinite(np.hstack([record.dtheta, record.dv])).all(axis=1)
-        told = np.zeros(len(missing), bool)
-        for flaw in record.flaws:
-            told[flaw.begin : flaw.end] = True
-        np.testing.assert_array_equal(missing, told)
+        assert abs(len(record.dv) - 1 - 100 * step_s.sum()) <= (1 + len(steps)) / 2
 
 
 def test_rate_mismatch_is_refused(tmp_path):
@@ -395,44 +342,13 @@ def test_require_span_refuses_span_outside_record():
 # --- stamps and gaps
 
 
-@pytest.mark.parametrize("late", [[0.007], [0.007, 0.004], [0.012, 0.006], [0.016]])
+@pytest.mark.parametrize("late", [[0.004], [0.007, 0.004], [0.012, 0.006]])
 def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late):
     time_s = np.arange(1, 401) / 100
     time_s[200 : 200 + len(late)] += late
     record = read_whole(table_csv(tmp_path, time_s), CSV)
     assert len(record.dtheta) == 400 and not record.flaws
-    assert record.rate_hz == 100.0
-
-
-def scattered_stamps(count: int = 6000, begin: float = 0.0) -> np.ndarray:
-    """Stamps at 200 Hz of which some change places: normal scatter, 1 sigma 1 ms."""
-    time_s = begin + np.arange(1, count + 1) / 200
-    time_s = time_s + np.random.default_rng(7).normal(scale=1e-3, size=count)
-    assert (np.diff(time_s) < 0).any() and (np.diff(time_s) > 0.01).any()
-    return time_s
-
-
-@pytest.mark.parametrize("begin", [0.0, 1.7e9])
-@pytest.mark.parametrize("rate_hz", [None, 200.0])
-def test_scattered_stamps_give_rate_of_fitted_line(tmp_path, begin, rate_hz):
-    time_s = scattered_stamps(begin=begin)
-    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=rate_hz))
-    assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
-    assert record.t0_s == pytest.approx(begin, abs=1e-4)
-    # Not taken for a whole rate that it is not, and not far from it.
-    path = table_csv(tmp_path, begin + (time_s - begin) * 1.0001)
-    assert read_whole(path, CSV._replace(rate_hz=None)).rate_hz == pytest.approx(200 / 1.0001, 5e-6)
-
-
-@pytest.mark.parametrize("missing", [[3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]])
-def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
-    time_s = np.delete(scattered_stamps(), missing)
-    record = records.read_csv(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
-    assert len(record.dtheta) == 6000 and record.rate_hz == 200.0
-    found = np.flatnonzero(np.isnan(record.dtheta[:, 0]))
-    # A stamp that is half a sample off leaves open on which side of it a sample is missing.
-    assert len(found) == len(missing) and np.abs(found - missing).max() <= 1
-    assert f"row {missing[0] + 2}: a gap at 200 Hz" in record.flaws[0].text
+    assert record.rate_hz == 100.0 and len(record.remarks) == (max(late) > 0.005)
 
 
 @pytest.mark.parametrize(
@@ -440,14 +356,38 @@ def test_missing_samples_among_scattered_stamps_are_found(tmp_path, missing):
     [
         (lambda t: np.insert(t, 3000, t[3000]), "row 3003: time repeats"),
         (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
-        (lambda t: t - np.where(np.arange(6000) < 3000, 0, 0.005), "a short step at 200 Hz"),
+        (lambda t: np.insert(t, 3000, t[2999] + [0.001, 0.002]), "a short step at "),
         (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
-        (lambda t: t + np.where(np.arange(6000) == 3000, 0.03, 0), "row 3003: time runs backward"),
     ],
 )
-def test_clock_faults_among_scattered_stamps_are_refused(tmp_path, change, says):
-    path = table_csv(tmp_path, change(scattered_stamps()))
+def test_clock_faults_among_jittering_stamps_are_refused(tmp_path, change, says):
+    path = table_csv(tmp_path, change(jittering_stamps()))
     assert says in refusal_line(records.read_csv, path, CSV._replace(rate_hz=None))
+
+
+def jittering_stamps() -> np.ndarray:
+    """Stamps at 200 Hz that are up to 2 ms late."""
+    return np.arange(1, 6001) / 200 + np.random.default_rng(7).uniform(0, 0.002, 6000)
+
+
+@pytest.mark.parametrize(
+    "missing", [[], [3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]]
+)
+def test_missing_samples_among_jittering_stamps_are_found(tmp_path, missing):
+    path = table_csv(tmp_path, np.delete(jittering_stamps(), missing))
+    record = records.read_csv(path, CSV._replace(rate_hz=None))
+    assert len(record.dtheta) == 6000 and record.rate_hz == pytest.approx(200, rel=1e-4)
+    assert np.flatnonzero(np.isnan(record.dtheta[:, 0])).tolist() == missing
+    if missing:
+        assert f"row {missing[0] + 2}: a gap at 200" in record.flaws[0].text
+
+
+def test_stamps_of_which_every_second_one_is_late_are_read_and_reported(tmp_path):
+    time_s = np.arange(1, 401) / 50
+    time_s[1::2] += 0.012
+    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
+    assert (record.rate_hz, len(record.dv)) == (pytest.approx(50), 400)
+    assert record.remarks == ("200 stamps are late by up to 12 ms: read as if on time",)
 
 
 def table_with_gaps(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
@@ -544,37 +484,27 @@ def test_invalid_iso_date_is_refused(tmp_path):
 # --- long records
 
 
-@pytest.mark.parametrize("kind", ["csv", "iso", "psins", "parquet"])
+@pytest.mark.parametrize("kind", ["csv", "iso"])
 def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
     random, path = np.random.default_rng(3), tmp_path / "long"
     record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
     layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
-    if kind == "psins":
-        layout = RecordLayout("psins", axes_order="y-xz")
-        records.write_psins(record, path)
-    elif kind == "parquet":
-        layout = layout._replace(format="parquet")
-        records.write_parquet(record, path, layout)
-    else:
-        records.write_csv(record, path, layout)
-        head, *rows = path.read_text().splitlines()
-        if kind == "iso":  # milliseconds, of which 999 fit behind a point
-            rows = [
-                f"2024-05-01T00:00:{float(r.partition(',')[0]):06.3f},{r.partition(',')[2]}"
-                for r in rows
-            ]
-            layout = layout._replace(time_unit="iso")
-        del rows[500:503]
-        rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
-        rows.insert(50, "# a comment")
-        rows.insert(300, "")
-        path.write_text("\r\n".join([head, *rows]))
+    records.write_csv(record, path, layout)
+    head, *rows = path.read_text().splitlines()
+    if kind == "iso":  # milliseconds, of which 999 fit behind a point
+        cells = [row.partition(",") for row in rows]
+        rows = [f"2024-05-01T00:00:{float(time):06.3f},{rest}" for time, _, rest in cells]
+        layout = layout._replace(time_unit="iso")
+    del rows[500:503]
+    rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
+    rows.insert(50, "# a comment")
+    rows.insert(300, "")
+    path.write_text("\r\n".join([head, *rows]))
     whole = records.read_record(path, layout)
-    monkeypatch.setattr(files, "BATCH_BYTES", 1000)
-    monkeypatch.setattr(tables, "_BATCH_ROWS", 10)
+    monkeypatch.setattr(reader, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
-    assert whole[2:] == again[2:] and whole.filled == (4 if kind in ("csv", "iso") else 0)
+    assert whole[2:] == again[2:] and whole.filled == 4
 
 
 _PEAK = """
@@ -624,7 +554,7 @@ SIGMAS = "sigma_e_deg,sigma_n_deg,sigma_u_deg"
     ("text", "told"),
     [
         (f"{LEVEL}\n0,1,2\n", "column 'yaw_deg' 'heading_deg' 'time_s'"),
-        ("time_s\0", "row 1: text"),
+        ("time_s\0", "UTF-8"),
         (f"{LEVEL},yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "yaw_deg yaw_ccw_deg"),
         (f"{LEVEL},yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s"),
         (f"{LEVEL},yaw_deg\n0,91,2,3\n", "row 2: pitch_deg 90"),

@@ -13,7 +13,6 @@ from sinsjax import analysis
 from sinsjax.execution import run as study_run
 from sinsjax.execution.source import Source
 from sinsjax.report import monte_carlo
-from sinsjax.report.base import Picture
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -55,9 +54,9 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     for name, values in columns.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     changed = Source(source.directory, source.study, source.config, table)
-    found = monte_carlo.build_report(changed, with_tables=False).verdict
+    found = monte_carlo.build_report(changed, with_tables=False)
     assert found.title == "study: 18 runs (12 distinct), none failed"
-    assert found.facts[0].text.startswith("no reset: every run settles")
+    assert found.facts[1].text.startswith("no reset: every run settles")
     # A quarter of each of 3 draws: 2.5 % quantiles of Beta(3, 1), of the share and of the rest.
     least = 0.025 ** (1 / 3)
     ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}]"
@@ -74,5 +73,5 @@ def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Pat
     )
     study_run.run_into(study, tmp_path / "results")
     report = monte_carlo.build_report(Source.read(tmp_path / "results"))
-    names = [b.name for s in report.sections for b in s.blocks if isinstance(b, Picture)]
+    names = [picture.name for picture in report.pictures]
     assert {"misalignment", "misalignment_level", "consistency"} <= {*names}

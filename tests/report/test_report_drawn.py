@@ -13,7 +13,7 @@ from sinsjax.analysis.summaries import read_estimate
 from sinsjax.execution import run
 from sinsjax.execution.source import Source
 from sinsjax.report import axis_figures, monte_carlo
-from sinsjax.report.base import Picture, Table, Text
+from sinsjax.report.base import Picture, Table
 from sinsjax.report.grouping import bin_drawn_keys, bin_medians
 
 pytestmark = pytest.mark.optimised(False)
@@ -79,14 +79,14 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) 
 def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Source) -> None:
     *pictures, idle = axis_figures.build_axis_figures(drawn_source)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]
-    assert idle == Text("No figure over yaw_center_deg: no effect beyond the intervals.")
+    assert idle == "No figure over yaw_center_deg: no effect beyond the intervals."
     assert isinstance(pictures[1], Picture)
     assert "phi_u0_deg: the median of each bin" in pictures[1].caption
     (line, _) = pictures[1].figure.axes[0].containers
     medians = bin_drawn_keys(drawn_source)["phi_u0_deg"][1]
     assert np.allclose(line.lines[0].get_xdata(), medians, atol=0.2)
-    *_, tables = monte_carlo.build_report(drawn_source).sections
-    titled = {block.title: block for block in tables.blocks if isinstance(block, Table)}
+    blocks = monte_carlo.build_report(drawn_source).blocks
+    titled = {block.title: block for block in blocks if isinstance(block, Table)}
     table = titled["Over phi_u0_deg, drawn"]
     assert table.header[:3] == ["phi_u0_deg", "p0_yaw_deg", "runs"] and len(table.rows) == 12
     assert [row[2] for row in table.rows] == ["10"] * 12

@@ -13,7 +13,7 @@ from sinsjax.execution.results import read_summary
 from sinsjax.execution.source import Source
 from sinsjax.execution.tables import replace_column
 from sinsjax.report import level, monte_carlo
-from sinsjax.report.base import Picture, Table
+from sinsjax.report.base import Table
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -32,15 +32,15 @@ def run_methods(out: Path, methods: list[str], **tables: Any) -> Source:
 def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
     source = run_methods(tmp_path / "out", ["level"])
     report = monte_carlo.build_report(source)
-    facts = {fact.label: fact.text for fact in report.verdict.facts}
+    facts = {fact.label: fact.text for fact in report.facts}
     assert facts["Attitude"].startswith("pitch ") and "(1 sigma 17." in facts["Attitude"]
     assert facts["Attitude"].endswith("(last draw)")
     assert facts["Heading"] == "none: level finds pitch and roll alone"
     assert facts["Accuracy"].endswith("' rms from the truth per angle")
-    table = report.verdict.table
+    table = report.table
     assert table is not None and len(table.rows) == 3
     assert "unknown" not in str(table.rows)
-    (picture,) = (b for part in report.sections for b in part.blocks if isinstance(b, Picture))
+    (picture,) = report.pictures
     east, north = (axes.get_ylabel() for axes in picture.figure.axes)
     assert "level error,\neast" in east and "level error,\nnorth" in north
 
@@ -49,15 +49,14 @@ def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
 def test_level_next_to_a_filter_never_settles(tmp_path: Path) -> None:
     source = run_methods(tmp_path / "out", ["kalman5", "level"])
     report = monte_carlo.build_report(source)
-    facts = {fact.label: fact.text for fact in report.verdict.facts}
+    facts = {fact.label: fact.text for fact in report.facts}
     assert "kalman5" in facts["Best"] and facts["Others"] == "level: never"
-    blocks = [block for part in report.sections for block in part.blocks]
-    tables = [block for block in blocks if isinstance(block, Table)]
+    tables = [block for block in report.blocks if isinstance(block, Table)]
     (every,) = (table for table in tables if table.title == "Every variant")
     row = next(row for row in every.rows if row[0] == "level")
     assert row[2].startswith("0") and {"no bias floor", "never", "unknown"} <= {*row}
     # The filter without bias states is explained, whatever `level` assumes.
-    assert any("A NEES of 3 cannot be expected here" in str(block) for block in blocks)
+    assert any("A NEES of 3 cannot be expected here" in str(block) for block in report.blocks)
 
 
 def test_run_that_is_not_finite_has_no_level(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_unfinished_report_warns_with_share_of_runs(
     ]
     share = f"unfinished: {there} of 900 runs are done ({100 * there / 900:.2g} %)"
     assert lines[0].startswith(f"study: unfinished, {3 * whole} of 900 runs in ")
-    (warning,) = (line for line in lines if line.startswith("  Warning "))
+    warning = next(line for line in lines if line.startswith("  Warning "))
     assert f"{share}; shown are the {whole} draws" in warning
     assert f"<strong>Warning:</strong> {share}" in page.read_text()
     with pytest.raises(InputError, match="continue with `--resume`"):

@@ -224,7 +224,7 @@ def test_report_states_gain_over_the_law(directory: Path) -> None:
     gain = tuning.difference(tuning.best, "law")
     assert made.law is not None and gain.value == pytest.approx(made.score.value - made.law.value)
     report = tuning_report.build_report(results.read_evaluation(directory))
-    (text,) = (fact.text for fact in report.verdict.facts if fact.label == "Law")
+    (text,) = (fact.text for fact in report.facts if fact.label == "Law")
     if tuning.case_numbers[tuning.best] != tuning.case_numbers["law"]:
         assert f"{-gain.value:.2f}" in text and f"[{-gain.high:.2f}, {-gain.low:.2f}]" in text
 

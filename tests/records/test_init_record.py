@@ -1,0 +1,351 @@
+"""`sinsjax init record --from LOG`: names tell, or the user is asked; nothing is guessed.
+
+Most logs are of one body at rest: heading 35, pitch 1 and roll -2 deg at 48 deg of latitude.
+"""
+
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import Command
+from support.refusals import assert_named
+from support.studies import STILL, small_study
+
+import sinsjax as package
+from sinsjax.errors import InputError
+from sinsjax.records import write_psins
+from sinsjax.records.layout import NAMED_AXES, from_body_axes
+from sinsjax.study.from_record import make_study_text
+
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
+
+RATE = 25.0
+DEG = np.pi / 180
+G = 9.80665
+TIME = np.arange(1, 751) / RATE
+XYZ = tuple("xyz")
+NAMES = ("time_s", *(f"gyro_{a}" for a in XYZ), *(f"accel_{a}" for a in XYZ))
+UNITS = (NAMES[0], *(f"{n} [rad/s]" for n in NAMES[1:4]), *(f"{n} [m/s^2]" for n in NAMES[4:]))
+TRUTH = (35.0, 1.0, -2.0)
+Samples = tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def body() -> Samples:
+    """Rates (rad/s) and specific forces (m/s^2) of 30 s, right-front-up, good gyros."""
+    study = small_study(
+        study={"duration_s": 30.0, "rate_hz": RATE, "window_s": [15, 30]},
+        earth={"earth": "wgs84", "latitude_deg": 48.0},
+        motion=STILL | {"yaw_center_deg": -35.0, "pitch_center_deg": 1.0, "roll_center_deg": -2.0},
+        sensors={
+            "gyro_bias_deg_per_h": 0.01,
+            "gyro_noise_deg_per_h": 0.05,
+            "accel_bias_ug": 20.0,
+            "accel_noise_ug": 20.0,
+        },
+    )
+    record = package.simulated_record(study)
+    return record.dtheta * RATE, record.dv * RATE
+
+
+def mems(body: Samples, bias_deg_per_h: Sequence[float] = (500.0, -800.0, 700.0)) -> np.ndarray:
+    """Rates of the same body by gyros that cannot find north, rad/s."""
+    noise = np.random.default_rng(3).normal(size=body[0].shape)
+    return body[0] + np.array(bias_deg_per_h) * DEG / 3600 + 0.02 * DEG * noise
+
+
+def in_axes(body: Samples, axes: str) -> Samples:
+    order = NAMED_AXES[axes]
+    return from_body_axes(body[0], order), from_body_axes(body[1], order)
+
+
+def write(path: Path, columns: Sequence[np.ndarray], names: Sequence[str] = NAMES) -> Path:
+    table = np.column_stack(columns)
+    rows = [",".join("" if np.isnan(x) else f"{x:.15g}" for x in row) for row in table.tolist()]
+    path.write_text("\n".join([*([",".join(names)] if names else ()), *rows]) + "\n")
+    return path
+
+
+def read_study(path: Path, **answers: Any) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """Return the study of a log, its open questions with their evidence, and its doubts."""
+    given = {place.replace("__", "."): value for place, value in answers.items()}
+    text = make_study_text(path, Path("its.toml"), given)
+    found = re.findall(r"^# (DOUBT|QUESTION): (.*(?:\n#   .*)*)\n(\w*)", text, re.MULTILINE)
+    said = [(kind, " ".join(words.replace("\n#  ", "").split()), key) for kind, words, key in found]
+    questions = {key: words for kind, words, key in said if kind == "QUESTION"}
+    return tomllib.loads(text), questions, [words for kind, words, _ in said if kind == "DOUBT"]
+
+
+def align(path: Path, **answers: Any) -> dict[str, Any]:
+    """Return the row of the study that is written for a log, with answers to its questions."""
+    given = {"earth.latitude_deg": 48.0}
+    given |= {place.replace("__", "."): value for place, value in answers.items()}
+    config = path.with_suffix(".toml")
+    config.write_text(make_study_text(path, config, given))
+    (row,) = package.align(path, config, curves=False).summary.to_pylist()
+    return row
+
+
+def assert_truth(row: dict[str, Any], *, heading_deg: float = 1.5, level_deg: float = 0.01) -> None:
+    assert (row["heading_deg"] - TRUTH[0] + 180) % 360 - 180 == pytest.approx(0, abs=heading_deg)
+    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=level_deg)
+
+
+# --- names that tell
+
+MILLI = 1e-3
+CLEAN = {
+    "VectorNav": ("frd", "Time [s]", 1, "AngularRate_@ [rad/s]", 1, "Accel_@ [m/s^2]", 1),
+    "Bosch": ("flu", "t[ms]", 1e3, "gyro_@[mdeg/s]", MILLI * DEG, "acc_@[mg]", MILLI * G),
+    "EuRoC": ("flu", "timestamp [ns]", 1e9, "w_RS_S_@ [rad s^-1]", 1, "a_RS_S_@ [m s^-2]", 1),
+    "m/sec2": ("flu", "Time", 1, "Gyro@[deg/s]", DEG, "Acc@[m/sec2]", 1),
+    "MicroStrain": ("frd", "GPS TOW", 1, "@ Gyro [x8005]", 1, "@ Accel [x8004]", G),
+    "ROS": ("flu", "header.stamp", 1e9, "angular_velocity.@", 1, "linear_acceleration.@", 1),
+    "ArduPilot": ("frd", "TimeUS", 1e6, "Gyr@", 1, "Acc@", 1),
+    "PX4": ("frd", "timestamp", 1e6, "gyro_rad[@]", 1, "accelerometer_m_s2[@]", 1),
+    "deg/h and ug": ("flu", "t", 1, "w@ [deg/h]", DEG / 3600, "f@ [ug]", 1e-6 * G),
+    "increments": ("flu", "time_s", 1, "dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE),
+    "arcsec": ("flu", "time_s", 1, "DeltaAngle@ (arcsec)", DEG / 3600 * RATE, "DV@ (m/s)", RATE),
+    "mixed": ("flu", "time_s", 1, "gyro_@ (rad/s)", 1, "dv_@ (m/s)", RATE),
+}
+"""Axes, and the name and unit of time, gyros and accelerometers."""
+
+
+def clean_logs(body: Samples, folder: Path) -> dict[str, Path]:
+    """Write logs whose names state everything but the latitude."""
+    logs: dict[str, tuple[list[np.ndarray], Sequence[str]]] = {}
+    for name, (axes, time, to_time, gyro, rad_per_s, accel, m_per_s2) in CLEAN.items():
+        g, a = in_axes(body, axes)
+        letters = {"PX4": "012", "ArduPilot": "XYZ"}.get(name, "xyz")
+        names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in letters]
+        logs[name] = [TIME * to_time, g / rad_per_s, a / m_per_s2], [time, *names]
+    (gyro, accel), (frd, _), (flu, flu_accel) = body, in_axes(body, "frd"), in_axes(body, "flu")
+    turns = [f"{turn}Rate (deg/s)" for turn in ("Roll", "Pitch", "Yaw")]
+    ways = [f"acc_{way}" for way in ("right", "front", "up")]
+    logs["roll rate"] = [TIME, gyro[:, [1, 0, 2]] / DEG, accel], ["time", *turns, *ways]
+    frd_names = [f"gyro_{way} (rad/s)" for way in ("front", "right", "down")]
+    logs["two orders"] = [TIME, frd, accel], ["time", *frd_names, *ways]
+    negative = [n.replace("_y", "_neg_y") for n in UNITS]
+    rfu = np.column_stack([gyro, accel])
+    logs["negative"] = [TIME, rfu * [1, -1, 1, 1, -1, 1]], [f"rfu_{n}" for n in negative]
+    logs["force without gravity beside"] = (
+        [TIME, flu, flu_accel - flu_accel.mean(axis=0), flu_accel],
+        [*UNITS[:4], *(f"linear_accel_{a}" for a in XYZ), *(f"total_accel_{a}" for a in XYZ)],
+    )
+    return {name: write(folder / f"{k}.csv", *log) for k, (name, log) in enumerate(logs.items())}
+
+
+def test_logs_whose_names_tell_are_silent_and_read_in_body_axes(body, tmp_path):
+    for name, path in clean_logs(body, tmp_path).items():
+        study, questions, doubts = read_study(path)
+        assert ([*questions], doubts) == (["latitude_deg"], []), name
+        assert study["alignment"] == {"method": "inertial"}, name
+        assert re.search(r"the gyros give 4[78]\.\d", questions["latitude_deg"]), name
+        answered, *said = read_study(path, earth__latitude_deg=48.0)
+        assert said == [{}, []], name
+        record = package.load_increments(package.study_from_dict(answered), path).record
+        np.testing.assert_allclose(record.dtheta * RATE, body[0], rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(record.dv * RATE, body[1], rtol=1e-9, err_msg=name)
+
+
+def test_answered_log_gives_attitude(body, tmp_path):
+    path = clean_logs(body, tmp_path)["MicroStrain"]
+    assert_truth(align(path))
+
+
+def test_stated_unit_holds_and_gyros_without_north_level(body, sinsjax, tmp_path):
+    """A suspicion never leads to another unit: 0.31 deg/s of bias is that, and not 19 deg/h."""
+    names = [NAMES[0], *(f"{n} (rad/s)" for n in NAMES[1:4]), *(f"{n} (m/s2)" for n in NAMES[4:])]
+    path = write(tmp_path / "log.csv", [TIME, mems(body), body[1]], [f"rfu_{n}" for n in names])
+    study, questions, (doubt,) = read_study(path)
+    assert [*questions] == ["latitude_deg"] and "hides Earth rate" in doubt
+    assert study["record"]["gyro_unit"] == "rad_per_s"
+    assert study["alignment"] == {"method": "level"}
+    row = align(path)
+    sigma_deg = row["sigma_e_arcmin"] / 60
+    assert row["sigma_e_arcmin"] == pytest.approx(17.2, abs=0.2)  # of 5,000 ug
+    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=sigma_deg)
+    assert row["heading_deg"] is None and row["sigma_u_arcmin"] is None
+
+
+# --- questions
+
+
+@pytest.mark.parametrize("unit", [1.0, DEG])
+@pytest.mark.parametrize("accel_unit", [1.0, G])
+def test_unit_of_gyros_that_no_name_states_is_a_question(unit, accel_unit, body, tmp_path):
+    for gyro in (body[0], mems(body)):
+        path = write(tmp_path / "log.csv", [TIME, gyro / unit, body[1] / accel_unit])
+        study, questions, _ = read_study(path)
+        assert [*questions] == ["latitude_deg", "gyro_unit"]
+        assert study["earth"]["latitude_deg"] == study["record"]["gyro_unit"] == "?"
+        assert study["record"]["accel_unit"] == ("m_per_s2" if accel_unit == 1.0 else "g")
+        for name in ("rad_per_s", "deg_per_s", "deg_per_h"):
+            line = rf'gyro_unit = "{name}": mean rate \S+ deg/h, \S+ times Earth rate'
+            assert re.search(line, questions["gyro_unit"])
+
+
+def test_increments_beside_rates_are_a_question_about_the_unit(body, tmp_path):
+    names = [NAMES[0], *(f"delta_angle_{a}" for a in XYZ), *NAMES[4:]]
+    path = write(tmp_path / "log.csv", [TIME, body[0] / RATE, body[1]], names)
+    _, questions, _ = read_study(path)
+    assert 'gyro_unit = "arcsec"' in questions["gyro_unit"]
+    answered, *said = read_study(path, record__gyro_unit="rad", earth__latitude_deg=48.0)
+    assert said == [{}, []] and answered["record"]["accel_unit"] == "m_per_s2"
+
+
+def test_names_of_a_standard_that_another_column_contradicts_are_a_question(body, tmp_path):
+    names = [f"angular_velocity.{a}" for a in XYZ] + [f"linear_acceleration.{a}" for a in XYZ]
+    path = write(tmp_path / "log.csv", [TIME, body[0] / DEG, body[1] / G], ["time", *names])
+    _, questions, _ = read_study(path)
+    assert "ROS" in questions["gyro_unit"] and "contradicts" in questions["gyro_unit"]
+    assert_truth(align(path, record__gyro_unit="deg_per_s", record__axes_order="rfu"))
+
+
+def test_open_question_is_refused_with_its_evidence_until_answered(body, sinsjax, tmp_path):
+    write(tmp_path / "log.csv", [TIME, mems(body), body[1]])
+    code, told, error = sinsjax("init", "record", "--from", "log.csv")
+    assert (code, error) == (0, "") and "gyro_unit" in told
+    for command in (("validate", "log.toml"), ("align", "log.csv", "log.toml", "-o", "out")):
+        code, _, error = sinsjax(*command)
+        assert code == 2 and error.count("\n") == 2
+        places = (
+            "error: log.toml: [record] gyro_unit",
+            "times Earth rate",
+            "record.gyro_unit=VALUE",
+        )
+        assert_named(error.splitlines()[1], *places)
+        assert "[earth] latitude_deg: an open question" in error.splitlines()[0]
+    answers = ("--set", "record.gyro_unit=rad_per_s", "--set", "earth.latitude_deg=48")
+    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answers)
+    assert code == 0 and "hides Earth rate" in error
+
+
+def test_counts_are_questions_about_their_scale(body, tmp_path):
+    counts = [np.round(body[0] / DEG * 131 * 1e3), np.round(body[1] / G * 16384)]
+    path = write(tmp_path / "log.csv", [TIME, *counts])
+    _, questions, _ = read_study(path)
+    assert {"gyro_scale", "accel_scale"} <= {*questions}
+    assert "6.1" in questions["accel_scale"] and "counts" in questions["gyro_scale"]
+    row = align(
+        path,
+        record__gyro_scale=1 / 131e3,
+        record__accel_scale=1 / 16384,
+        record__gyro_unit="deg_per_s",
+        record__accel_unit="g",
+        record__axes_order="rfu",
+    )
+    assert_truth(row, level_deg=0.05)
+
+
+@pytest.mark.parametrize(
+    ("names", "named"),
+    [
+        (tuple("abcdefg"), "a 15.02"),
+        (("t", "roll_rate", "pitch_rate", "spare", *NAMES[4:]), "roll_rate"),
+        ((), "column_1 15.02"),
+        (("t", *NAMES[1:4], *(f"accel_ned_{a}" for a in XYZ)), "accel_ned_x"),
+    ],
+)
+def test_unknown_columns_are_a_question_and_can_be_named(names, named, body, tmp_path):
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu")], names)
+    study, questions, _ = read_study(path)
+    key = "accel_columns" if "ned" in named else "gyro_columns"
+    assert study["record"][key] == study["record"]["gyro_unit"] == "?" and named in questions[key]
+    used = list(names) or [f"column_{k}" for k in range(1, 8)]
+    answers = {"record__gyro_columns": used[1:4], "record__accel_columns": used[4:]}
+    study, questions, _ = read_study(path, **answers)
+    assert not {"gyro_columns", "accel_columns"} & {*questions}
+    assert study["record"]["gyro_columns"] == used[1:4]
+
+
+def test_several_sensors_are_a_question(body, tmp_path):
+    names = [*UNITS, *(n.replace("gyro", "gyro2") for n in UNITS[1:4])]
+    path = write(tmp_path / "log.csv", [TIME, *in_axes(body, "flu"), body[0]], names)
+    question = read_study(path)[1]["gyro_columns"]
+    assert "gyro_x [rad/s]" in question and "gyro2_x [rad/s]" in question
+
+
+@pytest.mark.parametrize(
+    ("axes", "names", "asked"),
+    [
+        ("rfu", [f"frd_{n}" for n in UNITS], "'frd'"),
+        ("rfu", [*UNITS[:4], "acc_right", "acc_front", "acc_up"], "right, front and up"),
+        ("rfu", ["t", "roll_rate", "pitch_rate", "yaw_rate", *UNITS[4:]], "right, front and up"),
+        ("x up", UNITS, 'axes_order = "yzx"'),
+    ],
+)
+def test_axes_that_names_do_not_tell_or_gravity_denies_are_a_question(
+    axes, names, asked, body, tmp_path
+):
+    gyro, accel = body if axes == "rfu" else (v[:, [2, 0, 1]] for v in body)
+    path = write(tmp_path / "log.csv", [TIME, gyro, accel], names)
+    study, questions, _ = read_study(path)
+    assert study["record"]["axes_order"] == "?" and asked in questions["axes_order"]
+
+
+def test_rows_of_sensors_in_turn_are_refused_with_the_way_on(tmp_path):
+    rows = [f"Uncal{('Accel', 'Gyro')[k % 2]},{k},1,2,3,4,5" for k in range(100)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["type,ms,x,y,z,a,b", *rows]))
+    with pytest.raises(InputError) as caught:
+        make_study_text(path, Path("x.toml"))
+    assert_named(str(caught.value), str(path), "UncalAccel, UncalGyro", "nearest stamp")
+
+
+# --- the rest of the study
+
+
+def test_mounting_gives_attitude_of_the_vehicle(body, tmp_path):
+    """A box that is turned by yaw 90 deg in the vehicle: its front points left."""
+    turned = [v @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) for v in body]
+    path = write(tmp_path / "log.csv", [TIME, *turned], [f"rfu_{n}" for n in UNITS])
+    assert_truth(align(path, record__mounting_deg=(0.0, 0.0, 90.0)))
+
+
+def test_longest_part_without_a_gap_is_aligned_and_short_gaps_are_filled(body, tmp_path):
+    table = np.column_stack([TIME, *in_axes(body, "flu")])
+    table[400, 2] = np.nan
+    path = write(tmp_path / "log.csv", [np.delete(table, [*range(100, 150)], axis=0)], UNITS)
+    study, _, doubts = read_study(path)
+    assert study["record"]["start_s"] == [6.0] and study["record"]["max_gap_s"] == 0.08
+    assert any("interpolat" in d or "gaps" in d for d in doubts)
+
+
+def test_psins_log_becomes_study_with_the_place_of_its_header(tmp_path):
+    record = package.simulated_record(small_study(study={"duration_s": 40.0, "window_s": [0, 40]}))
+    write_psins(record, tmp_path / "car.imu")
+    study, questions, _ = read_study(tmp_path / "car.imu")
+    assert study["record"]["format"] == "psins"
+    assert ("latitude_deg" in questions) == (record.latitude_deg is None)
+
+
+@pytest.mark.parametrize(
+    ("columns", "names", "named"),
+    [
+        (slice(None), ("t", "gyro_x\u202e", *NAMES[2:]), r"column 'gyro_x\u202e'"),
+        (slice(0, 5), NAMES[:5], "found 5 columns; an IMU log needs at least 6"),
+    ],
+)
+def test_unusable_log_is_refused_in_one_line(columns, names, named, body, sinsjax, tmp_path):
+    table = np.column_stack([TIME, *in_axes(body, "flu")])[:, columns]
+    write(tmp_path / "log.csv", [table], names)
+    code, told, error = sinsjax("init", "record", "--from", "log.csv")
+    assert (code, told, error.count("\n")) == (2, "", 1)
+    assert error.startswith("error: log.csv: ") and named in error
+    assert not Path("log.toml").exists()
+
+
+def test_warning_is_printed_once_on_standard_error(body, sinsjax: Command, tmp_path):
+    gyro, accel = in_axes(body, "flu")
+    write(tmp_path / "log.csv", [TIME, gyro, 0.99 * accel], UNITS)
+    answer = ("--set", "earth.latitude_deg=48")
+    assert sinsjax("init", "record", "--from", "log.csv", *answer)[0] == 0
+    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out")
+    assert code == 0 and "Warning" not in told
+    assert error.startswith("Warning: log.csv: 0 to ")
+    assert error.count("\n") == error.count("Warning") == 1
