@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from sinsjax.platform import compile_cache, machine, runtime
 
-_FACTS = ("cpu", "instructions", "avx512", "sinsjax", "jax", "jaxlib", "python")
+_FACTS = ("cpu", "instructions", "sinsjax", "jax", "jaxlib", "python")
 
 Row = dict[str, Any]
 """A measurement: ``name``, its numbers, and the conditions."""

@@ -52,9 +52,8 @@ if TYPE_CHECKING:
     from sinsjax.execution.directory import read_manifest
     from sinsjax.execution.information import information_bound
     from sinsjax.execution.prepare import load_increments
-    from sinsjax.execution.results import read_curves, read_summary
+    from sinsjax.execution.results import Results, read_curves, read_summary
     from sinsjax.execution.run import align, run, run_into
-    from sinsjax.execution.study_results import Results
     from sinsjax.platform.runtime import configure, info
     from sinsjax.plots import plot_belief, plot_compare, plot_curves, plot_map
     from sinsjax.records import read_record, read_reference, record_from_arrays
@@ -90,9 +89,8 @@ _HOMES = {
     "execution.directory": ("read_manifest",),
     "execution.information": ("information_bound",),
     "execution.prepare": ("load_increments",),
-    "execution.results": ("read_curves", "read_summary"),
+    "execution.results": ("Results", "read_curves", "read_summary"),
     "execution.run": ("align", "run", "run_into"),
-    "execution.study_results": ("Results",),
     "platform.runtime": ("configure", "info"),
     "plots": ("plot_belief", "plot_compare", "plot_curves", "plot_map"),
     "records": ("read_record", "read_reference", "record_from_arrays"),

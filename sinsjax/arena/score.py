@@ -26,17 +26,16 @@ from sinsjax.arena.readme import RECORDS
 from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
 from sinsjax.arena.runs import ProgramRuns
 from sinsjax.arena.suspicions import suspect
-from sinsjax.columns import FAILED
 from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import directory as results_directory
 from sinsjax.execution import resume
+from sinsjax.execution.results import Results
 from sinsjax.execution.run import ProgressCallback, run
 from sinsjax.execution.schemas import summary_columns
-from sinsjax.execution.source import Source
-from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.store import write_table
 from sinsjax.execution.tables import TableBuilder, make_table, replace_column
-from sinsjax.execution.tasks import Job, Task, TaskResult, TaskRunner
+from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
@@ -163,13 +162,14 @@ def score_results(
         doubts.append(f"the attitudes of {name}: {reading}")
     job = Job(
         with_program,
+        curves=False,
         directory=target,
         overwrite=overwrite,
         manifest_state=resume.manifest_state(target),
         source=f"{study.name} with {Path(results).name}",
         warnings=tuple(doubts),
     )
-    _write(job, table, draws, manifest["digest"])
+    write_table(job, table, draws, **{_DIGEST: manifest["digest"]})
     return Score(target, with_program, comparison, missing_ids, doubts)
 
 
@@ -190,13 +190,13 @@ def _check_target(
         raise InputError(f"{target}: already contains results (--overwrite replaces them)")
 
 
-def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Source:
+def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Results:
     """Return the results of a sweep of the exported study, or of it with other programs.
 
     Raises:
         InputError: they are of another study, or lack draws.
     """
-    source, study = Source.read(against), _without_stopping(study)
+    source, study = Results.read(against), _without_stopping(study)
     is_same = results_directory.read_manifest(against).get(_DIGEST) == manifest["digest"]
     same_draws = with_draws(_without_stopping(source.study), study.n_draws)
     if not is_same and fingerprint(same_draws) != fingerprint(study):
@@ -382,19 +382,3 @@ def _doubt_numbers(study: Study, rows: pa.Table) -> Iterator[str]:
             f"{format_count(better, 'run')} nearer to north than the bias floor, from which this"
             " study judges: no success there (--set study.judged_from='truth' for the export)"
         )
-
-
-def _write(job: Job, table: pa.Table, draws: range, digest: str) -> None:
-    """Write the rows of all methods as a results directory."""
-    runner, rows = TaskRunner(job), len(table)
-    task = Task("part-0000-000000", 0, (draws.start, draws.stop), 0, rows, (("summary", rows),))
-    failed = sum(int(pc.sum(pc.equal(table["status"], kind)).as_py() or 0) for kind in FAILED)
-    store = DirectoryStore(runner, runtime.describe_environment())
-    try:
-        store.missing_tasks([task])
-        content = runner.to_parquet("summary", table, task)
-        store.add_result(TaskResult(task, {"summary": content}, failed, 0.0))
-        whole = draws == range(job.study.n_draws)
-        store.finish("complete" if whole else "interrupted", **{_DIGEST: digest})
-    finally:
-        store.unlock()

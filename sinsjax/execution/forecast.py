@@ -17,7 +17,7 @@ from sinsjax.engine.batch import CHUNK_RECORDS, LANES, STACKED_TILES
 from sinsjax.engine.scenario import MOST_STORED_SAMPLES, PROGRAM_KEYS
 from sinsjax.errors import InputError
 from sinsjax.execution import schemas, stopping
-from sinsjax.execution.directory import find_manifest
+from sinsjax.execution.directory import Manifest
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.registry import METHODS
@@ -188,7 +188,7 @@ def check_resources(
 
 def count_stored_runs(directory: Path, folders: Iterable[str] = ("",)) -> int:
     """Return the number of runs with stored results, in some folders of a directory."""
-    manifests = (find_manifest(directory / name) for name in folders)
+    manifests = (Manifest.find(directory / name) for name in folders)
     return sum(manifest.runs_done for manifest in manifests if manifest)
 
 

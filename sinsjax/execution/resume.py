@@ -1,7 +1,6 @@
 """Checks of a results directory before a job writes to it, and continuation of its results."""
 
 import json
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from sinsjax.execution.directory import (
     Manifest,
     OtherVersionError,
     existing_names,
-    find_manifest,
     list_parts,
 )
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA, read_part_metadata
@@ -28,8 +26,6 @@ from sinsjax.study.attitude_file import attitude_file
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
-
-_RESULT_NAMES = (*DATASETS, "figures", STUDY, MANIFEST)
 
 
 def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
@@ -46,7 +42,7 @@ def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    existing = existing_names(directory, _RESULT_NAMES)
+    existing = existing_names(directory, (*DATASETS, "figures", STUDY, MANIFEST))
     if not existing:
         return
     try:
@@ -74,13 +70,6 @@ def manifest_state(directory: Path) -> FileState | None:
         return None
 
 
-def _external_programs(manifest: Manifest) -> list[str]:
-    """Return the programs outside sinsjax of a manifest, whose study may be anything."""
-    settings = manifest.study.get("study")
-    programs = settings.get("external") if isinstance(settings, dict) else None
-    return list(map(str, programs)) if isinstance(programs, list) else []
-
-
 def continue_job(job: Job) -> Job:
     """Return the job as a continuation of the results in its directory, if there are any.
 
@@ -94,14 +83,17 @@ def continue_job(job: Job) -> Job:
         InputError: the directory contains results of another study (names the keys that differ), of
             another record or version, or with other chunks.
     """
-    directory = job.directory
+    directory, study = job.directory, job.study
     assert directory is not None
     manifest = _find_or_rebuild_manifest(directory)
     if manifest is not None:
         refuse_external(_external_programs(manifest), directory)
-    is_same = manifest is not None and _has_same_study(job, manifest)
+    is_same = manifest is not None and (
+        manifest.fingerprint == fingerprint(study)
+        or (not manifest.extended_at and manifest.identity == job.identity)
+    )
     # study.toml is written again for results of the same study, whatever it contains.
-    stored = None if is_same else _check_same_study(directory, job.study)
+    stored = None if is_same else _check_same_study(directory, study)
     if manifest is None:
         return job
     if job.chunk_runs not in (None, manifest.chunk_runs):
@@ -109,34 +101,28 @@ def continue_job(job: Job) -> Job:
             f"{directory}: chunk_runs: {job.chunk_runs} requested, but its results were begun with"
             f" {manifest.chunk_runs or 'the default'} (--resume keeps that: leave --chunk-runs out)"
         )
-    extended = stored is not None and _has_more_draws(stored, job.study)
-    earlier_draws = {
-        *manifest.extended_at,
-        *([stored.n_draws] if stored is not None and extended else []),
-    }
-    job = _with_extensions(job, earlier_draws)._replace(
-        curves=manifest.curves, chunk_runs=manifest.chunk_runs
+    ends = {*manifest.extended_at}
+    if stored is not None and _has_more_draws(stored, study):
+        ends.add(stored.n_draws)
+    job = job._replace(
+        curves=manifest.curves,
+        chunk_runs=manifest.chunk_runs,
+        extended_at=tuple(sorted(end for end in ends if end <= study.n_draws)),
     )
-    _check_versions(directory, manifest, packages_of(job.study.methods))
+    _check_versions(directory, manifest, study)
     if manifest.identity != job.identity:
         kind = "record or reference" if is_same or stored else "study"
-        if stored and attitude_file(job.study):
+        if stored and attitude_file(study):
             kind = "attitude_file"
         raise InputError(f"{directory}: contains results of another {kind}")
     return job
 
 
-def _has_same_study(job: Job, manifest: Manifest) -> bool:
-    """Return whether results are certainly of a job's study, with the same number of draws."""
-    same_study = manifest.fingerprint == fingerprint(job.study)
-    return same_study or (not manifest.extended_at and manifest.identity == job.identity)
-
-
-def _with_extensions(job: Job, earlier_draws: Iterable[int]) -> Job:
-    """Return a job with the earlier numbers of draws of its results, up to its own number."""
-    return job._replace(
-        extended_at=tuple(sorted(d for d in earlier_draws if d <= job.study.n_draws))
-    )
+def _external_programs(manifest: Manifest) -> list[str]:
+    """Return the programs outside sinsjax of a manifest, whose study may be anything."""
+    settings = manifest.study.get("study")
+    programs = settings.get("external") if isinstance(settings, dict) else None
+    return list(map(str, programs)) if isinstance(programs, list) else []
 
 
 def check_instruction_set(directory: Path, current: str) -> None:
@@ -149,13 +135,26 @@ def check_instruction_set(directory: Path, current: str) -> None:
     Raises:
         InputError: names both instruction sets.
     """
-    manifest = find_manifest(directory)
-    for session in manifest.sessions if manifest else ():
-        if (stored := shorten(to_one_line(session.instructions or current))) != current:
+    manifest = Manifest.find(directory)
+    stored = manifest and manifest.instructions
+    if stored and stored != current:
+        stored = shorten(to_one_line(stored))
+        raise InputError(
+            f"{directory}: was computed with instruction set {stored}, but here is {current}"
+            f" (use a machine with that one, XLA_FLAGS=--xla_cpu_max_isa={stored} on a larger one,"
+            " or --overwrite)"
+        )
+
+
+def _check_versions(directory: Path, manifest: Manifest, study: Study) -> None:
+    """Reject rows of other versions, including packages that provide methods: bits may differ."""
+    current = runtime.relevant_versions()
+    for name in (*runtime.RESULT_PACKAGES, *packages_of(study.methods)):
+        stored = manifest.versions.get(name, current[name])
+        if stored != current[name]:
             raise InputError(
-                f"{directory}: was computed with instruction set {stored}, but here is {current}"
-                f" (use a machine with that one, XLA_FLAGS=--xla_cpu_max_isa={stored} on a"
-                " larger one, or --overwrite)"
+                f"{directory}: was computed with {name} {shorten(to_one_line(stored))}, but here is"
+                f" {current[name]} (install that one, or give --overwrite)"
             )
 
 
@@ -174,8 +173,8 @@ def _check_same_study(directory: Path, study: Study) -> Study | None:
         text = "; ".join(describe_differences(stored, study))
         if _has_more_draws(study, stored):
             text += f" (draws can be added, not removed: continue with --draws {stored.n_draws})"
-        elif hint := _added_values_hint(stored, study):
-            text += f" ({hint})"
+        elif added := _added_values(stored, study):
+            text += f" (run the added values, axes.{added}, into another directory)"
         raise InputError(f"{directory}: contains results of another study: {text}")
     return stored
 
@@ -188,22 +187,15 @@ def _has_more_draws(stored: Study, study: Study) -> bool:
     return fingerprint(with_draws(stored, draws)) == fingerprint(study)
 
 
-def _added_values_hint(stored: Study, study: Study) -> str:
-    """Return a hint if axes have additional values, which would renumber all runs; else empty."""
-    added = [
-        key
-        for key, values in study.axes.items()
-        if key in stored.axes and set(map(str, stored.axes[key])) < set(map(str, values))
-    ]
-    if not added or list(stored.axes) != list(study.axes):
-        return ""
-    key = added[0]
-    new = [value for value in study.axes[key] if value not in stored.axes[key]]
-    return (
-        f"run the added values, axes.{key}={shorten(str(new), 40)}, into another directory;"
-        " read both with their paths in one list, and identify runs by directory and run_id, which"
-        " counts within a directory"
-    )
+def _added_values(stored: Study, study: Study) -> str | None:
+    """Return an axis and its additional values, which would renumber all runs."""
+    if list(stored.axes) != list(study.axes):
+        return None
+    for key, values in study.axes.items():
+        before = stored.axes[key]
+        if set(map(str, before)) < set(map(str, values)):
+            return f"{key}={shorten(str([value for value in values if value not in before]), 40)}"
+    return None
 
 
 def _check_extension(directory: Path, stored: Study) -> None:
@@ -220,26 +212,10 @@ def _check_extension(directory: Path, stored: Study) -> None:
             )
 
 
-def _check_versions(directory: Path, manifest: Manifest, packages: Iterable[str]) -> None:
-    """Reject rows of other versions, including packages that provide methods: bits may differ."""
-    current = runtime.relevant_versions()
-    for session in manifest.sessions:
-        for name in (*runtime.RESULT_PACKAGES, *packages):
-            stored = shorten(to_one_line(session.versions.get(name, current[name])))
-            if stored != current[name]:
-                raise InputError(
-                    f"{directory}: was computed with {name} {stored}, but here is {current[name]}"
-                    " (install that one, or give --overwrite)"
-                )
-
-
 def _find_or_rebuild_manifest(directory: Path) -> Manifest | None:
-    """Return the manifest of a directory, or one rebuilt from its parts; None without results."""
-    return find_manifest(directory) or _manifest_from_parts(directory)
-
-
-def _manifest_from_parts(directory: Path) -> Manifest | None:
-    """Rebuild a manifest from the intact part with most extensions."""
+    """Return the manifest of a directory, or one from its parts; None without results."""
+    if manifest := Manifest.find(directory):
+        return manifest
     curves = True if list_parts(directory, "curves") else None
     manifests = []
     for path in list_parts(directory, "summary"):
@@ -254,4 +230,4 @@ def _manifest_from_parts(directory: Path) -> Manifest | None:
                         extended_at=chunk.get("extended_at", ()),
                     )
                 )
-    return max(manifests, key=lambda part: len(part.extended_at), default=None)
+    return max(manifests, key=lambda manifest: len(manifest.extended_at), default=None)

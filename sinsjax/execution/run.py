@@ -15,8 +15,8 @@ from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import resume, schemas, stopping
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
+from sinsjax.execution.results import Results
 from sinsjax.execution.store import DirectoryStore
-from sinsjax.execution.study_results import Results
 from sinsjax.execution.tasks import Executor, Job, Task, TaskResult, TaskRunner, local_executor
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
@@ -233,7 +233,7 @@ def run_job(
     if job.resume:
         resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    store = DirectoryStore(runner, session)
+    store = DirectoryStore(job, session)
     try:
         _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
     finally:

@@ -129,6 +129,22 @@ class TaskResult(NamedTuple):
     seconds: float
 
 
+def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
+    """Return the metadata of a part, without time or host, which would change its bytes.
+
+    Args:
+        job: the job.
+        identity: that of the job, which takes a while to compute.
+        dataset: name of the dataset.
+        task: the task whose rows it has.
+    """
+    chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
+    chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": job.chunk_runs}
+    if before := [end for end in job.extended_at if end <= task.draws[0]]:
+        chunk["extended_at"] = before
+    return {results.STUDY_METADATA: identity, results.CHUNK_METADATA: json.dumps(chunk)}
+
+
 class TaskRunner:
     """Thread-safe runner of a job's tasks.
 
@@ -231,15 +247,8 @@ class TaskRunner:
             ValueError: the table lacks columns of the dataset.
         """
         schema = columns.arrow_schema(self.schemas[dataset])
-        return sealed.to_sealed_parquet(table.cast(schema), self.part_metadata(dataset, task))
-
-    def part_metadata(self, dataset: str, task: Task) -> dict[str, str]:
-        """Return the metadata of a part, without time or host, which would change its bytes."""
-        chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
-        chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": self.job.chunk_runs}
-        if before := [end for end in self.job.extended_at if end <= task.draws[0]]:
-            chunk["extended_at"] = before
-        return {results.STUDY_METADATA: self.identity, results.CHUNK_METADATA: json.dumps(chunk)}
+        metadata = part_metadata(self.job, self.identity, dataset, task)
+        return sealed.to_sealed_parquet(table.cast(schema), metadata)
 
     def compile_ahead(
         self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]

@@ -3,14 +3,13 @@
 It is on, in this user's cache folder, with a jaxlib in `SAFE_JAXLIB`, unless the environment
 variable ``SINSJAX_COMPILE_CACHE`` is 0; 1 enables it with any jaxlib, and a path moves it there.
 A program compiled for one CPU may be rejected or crash on another, and options change programs, so
-there is a subfolder for each jaxlib version, processor and value of ``XLA_FLAGS``. Anyone who can
-write there can run code here, so the folder must be this user's alone, see
-`machine.ensure_private_folder`.
+there is a subfolder for each jaxlib version, processor and value of ``XLA_FLAGS``. Whoever can
+write there can run code here, so it must be this user's alone, see `machine.ensure_private_folder`.
 
-JAX writes the access time of an entry after its content, so an entry without one was cut short by a
-full disk or a kill. It would stop all later writing and is removed here. If JAX cannot read another
-entry it warns, "Error reading persistent compilation cache entry", compiles the program again and
-does not remove the entry: delete the folder, which `sinsjax info` shows.
+JAX limits its size. It writes the access time of an entry after its content, so an entry without
+one was cut short by a full disk or a kill. It would stop all later writing and is removed here. If
+JAX cannot read another entry it warns, "Error reading persistent compilation cache entry", compiles
+the program again and does not remove the entry: delete the folder, which `sinsjax info` shows.
 """
 
 import hashlib
@@ -50,7 +49,7 @@ def enable_cache() -> Path | None:
         The folder in use, or None; see `reason_off` then.
 
     Raises:
-        InputError: the requested folder cannot be created, or others can write to or replace it.
+        InputError: the requested folder cannot be created, or others can write there.
     """
     global _reason_off
     import jax  # here, to keep importing this module cheap
@@ -65,14 +64,9 @@ def enable_cache() -> Path | None:
         _reason_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
-            return _activate_cache(_versioned_folder(setting))
+            return _use_folder(Path(setting).expanduser() if setting not in ("", "1") else None)
         except OSError as error:
-            run = (
-                ", and cached programs are executed"
-                if isinstance(error, machine.UnsafeFolderError)
-                else ""
-            )
-            _reason_off = f"{error.filename or setting}: {error.strerror or error}{run}"
+            _reason_off = f"{error.filename or setting}: {error.strerror or error}"
         except RuntimeError:  # from expanduser
             _reason_off = f"{setting}: no such user, or a user without a home directory"
         if setting:
@@ -80,26 +74,12 @@ def enable_cache() -> Path | None:
     return None
 
 
-def _versioned_folder(setting: str) -> Path:
-    """The folder for this jaxlib, processor and options, created if missing."""
-    by_name = setting not in ("", "1")
-    root = Path(setting).expanduser() if by_name else machine.user_cache_folder() / "compiled"
-    return machine.ensure_private_folder(root / _folder_name())
-
-
-def _folder_name() -> str:
-    """The jaxlib version, and a digest of the processor's model and features and the options."""
-    cpu = machine.cpu_info()
-    parts = [cpu.get(key, "") for key in ("model name", "flags")] + [
-        os.environ.get("XLA_FLAGS", "")
-    ]
-    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
-    return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
-
-
-def _activate_cache(folder: Path) -> Path:
+def _use_folder(root: Path | None) -> Path:
+    """Use the folder for this jaxlib, processor and options, created if missing."""
     import jax
 
+    root = root or machine.user_cache_folder() / "compiled"
+    folder = machine.ensure_private_folder(root / _folder_name())
     # At worst a program is compiled again.
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     if _SIZE not in os.environ:
@@ -108,6 +88,15 @@ def _activate_cache(folder: Path) -> Path:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
     return folder
+
+
+def _folder_name() -> str:
+    """Return the jaxlib version, and a digest of the processor's model and features and options."""
+    cpu = machine.cpu_info()
+    parts = [cpu.get(key, "") for key in ("model name", "flags")]
+    parts.append(os.environ.get("XLA_FLAGS", ""))
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+    return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
 
 
 def _remove_incomplete_entries(folder: Path) -> None:

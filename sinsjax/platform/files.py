@@ -98,7 +98,7 @@ def require_writable(path: Path, option_name: str) -> None:
 
 
 def unwritable_message(path: Path, error: OSError) -> str:
-    """The message about a file or directory that cannot be written."""
+    """Return the message about a file or directory that cannot be written."""
     return f"{path}: cannot be written: {error.strerror or error}"
 
 

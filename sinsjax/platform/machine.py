@@ -12,19 +12,9 @@ from pathlib import Path
 _INSTRUCTION_SETS = {"AVX512": "avx512f", "AVX2": "avx2", "AVX": "avx", "SSE4_2": "sse4_2"}
 """XLA's names of the x86 instruction sets, the largest first, with a CPU flag for each."""
 
-_ACL = "system.posix_acl_access"
-_BY_OTHERS = "other users can write there"
-
-
-class UnsafeFolderError(PermissionError):
-    """A folder that other users could write to or replace."""
-
-    def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(errno.EPERM, reason, str(folder))
-
 
 def cpu_info() -> dict[str, str]:
-    """The first processor's entries in ``/proc/cpuinfo``; empty on systems without it."""
+    """Return the first processor's entries in ``/proc/cpuinfo``; empty on systems without it."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0]
     except OSError:
@@ -34,7 +24,7 @@ def cpu_info() -> dict[str, str]:
 
 
 def instruction_set(max_isa: str = "") -> str:
-    """The instruction set that programs are compiled for, as far as it can change a last bit.
+    """Return the instruction set that programs are compiled for, if it can change a last bit.
 
     Args:
         max_isa: value of ``--xla_cpu_max_isa``, the largest set that XLA may use.
@@ -89,90 +79,19 @@ def user_cache_folder() -> Path:
 
 
 def ensure_private_folder(folder: Path) -> Path:
-    """A folder that no other user can write to or replace, created if missing.
-
-    Missing folders are created for this user alone (mode 0700). Every parent must be owned by this
-    user or the superuser and must not be writable by others, except a sticky folder of the
-    superuser such as ``/tmp``, where only owners can rename. A group whose only member is this
-    user does not count as others. Nothing is created below an unsafe folder.
-
-    Args:
-        folder: its path.
-
-    Returns:
-        The path without symbolic links, which is the one to use: links may be changed later.
+    """Return a folder of this user that no other can write to, created if missing (mode 0700).
 
     Raises:
-        UnsafeFolderError: other users could write there. For this error and the next, ``strerror``
-            has the reason and ``filename`` the folder.
-        OSError: the folder cannot be created.
+        OSError: it cannot be created, or is not this user's alone. ``strerror`` has the reason and
+            ``filename`` the folder.
     """
-    try:
-        real = folder.resolve()
-    except RuntimeError as error:  # a loop of links, in Python 3.11 and 3.12
-        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder)) from error
-    path = [*reversed(real.parents), real]
-    existing = [place for place in path if _exists(place)]
-    for place in existing:
-        _require_private_folder(place, is_target=place == real)
-    for place in path[len(existing) :]:
-        # Another process of this user may have created it; one of another user fails the check.
-        with suppress(FileExistsError):
-            place.mkdir(mode=0o700)
-        _require_private_folder(place, is_target=place == real)
-    return real
-
-
-def _exists(place: Path) -> bool:
-    try:
-        place.lstat()
-    except FileNotFoundError:
-        return False
-    return True
-
-
-def _require_private_folder(folder: Path, *, is_target: bool) -> None:
-    """Reject a folder that other users could write to or replace."""
-    about = folder.lstat()  # not following links: the path was resolved, so a link is a new one
-    if not stat.S_ISDIR(about.st_mode):
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    about = folder.stat()
     if not hasattr(os, "geteuid"):  # Windows, where a profile is private to its user
-        return
-    user = os.geteuid()
-    if about.st_uid not in ({user} if is_target else {user, 0}):
-        raise UnsafeFolderError(folder, "owned by another user")
-    sticky = about.st_uid == 0 and about.st_mode & stat.S_ISVTX and not is_target
-    if sticky:
-        return
-    if about.st_mode & stat.S_IWOTH:
-        raise UnsafeFolderError(folder, _BY_OTHERS)
-    if about.st_mode & stat.S_IWGRP and (
-        _has_access_control_list(folder) or not _is_only_group_member(user, about.st_gid)
-    ):
-        raise UnsafeFolderError(folder, _BY_OTHERS)
-
-
-def _has_access_control_list(place: Path) -> bool:
-    """Return whether there is an access control list; the group's bits are then its mask."""
-    if not hasattr(os, "listxattr"):
-        return False
-    try:
-        return _ACL in os.listxattr(place, follow_symlinks=False)
-    except OSError:  # a file system without such lists
-        return False
-
-
-def _is_only_group_member(user: int, group: int) -> bool:
-    """Return whether a user is the only member of a group; False if that cannot be determined."""
-    import grp
-    import pwd
-
-    try:
-        name, about = pwd.getpwuid(user).pw_name, grp.getgrgid(group)
-    except KeyError:
-        return False
-    accounts = pwd.getpwall()
-    others = {entry.pw_name for entry in accounts if entry.pw_gid == group} | set(about.gr_mem)
-    # A directory service may not list accounts; a group named after the user is the user's own.
-    listed = any(entry.pw_name == name for entry in accounts)
-    return others <= {name, "root"} and (listed or about.gr_name == name)
+        return folder
+    reason = "owned by another user" if about.st_uid != os.geteuid() else ""
+    if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        reason = "other users can write there, and cached programs are executed"
+    if reason:
+        raise PermissionError(errno.EPERM, reason, str(folder))
+    return folder

@@ -14,15 +14,6 @@ from sinsjax.platform import machine, xla
 RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
 
-
-def package_version() -> str:
-    """The installed version of sinsjax; ``0+source`` if run from source without installation."""
-    try:
-        return importlib.metadata.version("sinsjax")
-    except importlib.metadata.PackageNotFoundError:
-        return "0+source"
-
-
 _configured = False
 _warned_late = False
 
@@ -82,6 +73,25 @@ def ensure_configured() -> None:
         configure()
 
 
+def _default_device_count() -> int:
+    import jax
+
+    chosen = int(jax.config.values["jax_num_cpu_devices"])
+    if chosen >= 1:
+        return chosen
+    forced = xla.current_options().get("xla_force_host_platform_device_count", "")
+    return int(forced) if forced.isdigit() and int(forced) else usable_cores()
+
+
+def _enable_x64() -> None:
+    """Turn double precision on: single precision loses the Earth's rotation within a sample."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if not jax.config.jax_enable_x64:
+        raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
+
+
 def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
     """Warn once if JAX has started without the compiler options or with other devices."""
     global _warned_late
@@ -103,15 +113,6 @@ def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
             xla.ConfigurationWarning,
             stacklevel=3,
         )
-
-
-def _enable_x64() -> None:
-    """Turn double precision on: single precision loses the Earth's rotation within a sample."""
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    if not jax.config.jax_enable_x64:
-        raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
 def start_backend() -> None:
@@ -144,9 +145,23 @@ def method_entry_points() -> tuple[importlib.metadata.EntryPoint, ...]:
     return tuple(sorted(found, key=lambda point: point.name))
 
 
+@functools.cache
+def installed_version_or_none(package: str) -> str | None:
+    """Return the version of an installed package; None if it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def package_version() -> str:
+    """Return the version of sinsjax; ``0+source`` if run from source without installation."""
+    return installed_version_or_none("sinsjax") or "0+source"
+
+
 def relevant_versions() -> dict[str, str]:
     """Return the versions of Python, of `RESULT_PACKAGES` and of packages with methods."""
-    packages = {name: _installed_version(name) for name in RESULT_PACKAGES if name != "sinsjax"}
+    packages = {name: importlib.metadata.version(name) for name in RESULT_PACKAGES[1:]}
     bring = {point.dist.name: point.dist.version for point in method_entry_points() if point.dist}
     return {"sinsjax": package_version(), "python": platform.python_version(), **packages, **bring}
 
@@ -168,10 +183,8 @@ def info() -> dict[str, Any]:
 
     Returns:
         All of `relevant_versions`; ``platform``, ``cpu``; ``instructions``: the set in use;
-        ``avx512``: whether that is AVX-512, None if unknown; ``cores``, ``devices``, ``x64``;
-        ``compile_cache``: the folder of compiled programs, or off and why; ``options``: each XLA
-        option with its value in ``XLA_FLAGS`` or None; ``opted_out``; ``jaxlib_tested``: whether
-        this version is in `xla.TESTED_JAXLIB`.
+        ``cores``, ``devices``, ``x64``; ``compile_cache``: the folder of compiled programs, or off
+        and why; ``options``: each XLA option with its value in ``XLA_FLAGS`` or None.
 
     Examples:
         >>> sinsjax.info()["x64"]
@@ -182,43 +195,14 @@ def info() -> dict[str, Any]:
     from sinsjax.platform import compile_cache
 
     ensure_configured()
-    present = xla.current_options()
-    environment, cpu = describe_environment(), machine.cpu_info()
+    present, environment = xla.current_options(), describe_environment()
     return {
         **environment["versions"],
-        "platform": environment["platform"],
-        "cpu": environment["cpu"],
-        "instructions": environment["instructions"],
-        "avx512": environment["instructions"] == "AVX512" if "flags" in cpu else None,
+        **{key: environment[key] for key in ("platform", "cpu", "instructions")},
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.jax_enable_x64),
         "compile_cache": jax.config.values["jax_compilation_cache_dir"]
         or f"off ({compile_cache.reason_off()})",
-        "options": {option.name: present.get(option.name) for option in xla.required_options()},
-        "opted_out": xla.is_opted_out(),
-        "jaxlib_tested": _installed_version("jaxlib") in xla.TESTED_JAXLIB,
+        "options": {name: present.get(name) for name in xla.required_options()},
     }
-
-
-@functools.cache
-def _installed_version(package: str) -> str:
-    return importlib.metadata.version(package)
-
-
-def installed_version_or_none(package: str) -> str | None:
-    """The version of an installed package; None if it is not installed."""
-    try:
-        return _installed_version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def _default_device_count() -> int:
-    import jax
-
-    chosen = int(jax.config.values["jax_num_cpu_devices"])
-    if chosen >= 1:
-        return chosen
-    forced = xla.current_options().get("xla_force_host_platform_device_count", "")
-    return int(forced) if forced.isdigit() and int(forced) else usable_cores()

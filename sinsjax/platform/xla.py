@@ -18,44 +18,30 @@ import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
 
-from sinsjax.errors import InputError
 from sinsjax.platform import machine
 from sinsjax.platform.files import atomic_write
 
 EXTRA_FLAG = "xla_backend_extra_options"
+"""The flag whose value has further options. XLA ignores an unknown key there, whereas an unknown
+plain flag ends the process when JAX starts, and one of LLVM (``--``) at the first compilation."""
+
 OPT_OUT = "SINSJAX_XLA_OPTIONS"
-
-
-class XlaOption(NamedTuple):
-    """One option of XLA:CPU, or of LLVM underneath.
-
-    Attributes:
-        name: its key; LLVM options begin with two hyphens.
-        value: its value.
-        extra: whether it is passed in ``--xla_backend_extra_options``. XLA silently ignores an
-            unknown key there, whereas an unknown plain flag ends the process when JAX starts, and
-            an unknown LLVM option does so at the first compilation.
-    """
-
-    name: str
-    value: str
-    extra: bool = True
-
 
 TESTED_JAXLIB = frozenset({"0.10.0", "0.10.2"})
 """jaxlib versions on which all options were seen to take effect in a compiled loop."""
 
-_OPTIONS = (
-    XlaOption("xla_cpu_prefer_vector_width", "512", extra=False),
-    XlaOption("xla_cpu_copy_insertion_use_region_analysis", "true", extra=False),
-    XlaOption("xla_cpu_small_while_loop_byte_threshold", "1000000000"),
-    XlaOption("xla_cpu_use_multi_output_fusion", "true"),
-    XlaOption("--vectorize-memory-check-threshold", "100000"),
-)
+_PLAIN = {
+    "xla_cpu_prefer_vector_width": "512",
+    "xla_cpu_copy_insertion_use_region_analysis": "true",
+}
+_EXTRA = {
+    "xla_cpu_small_while_loop_byte_threshold": "1000000000",
+    "xla_cpu_use_multi_output_fusion": "true",
+    "--vectorize-memory-check-threshold": "100000",
+}
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
 _FLAG = re.compile(r"""(?:^|(?<=\s))--(\w+)=(\"[^\"]*\"|'[^']*'|\S*)""")
 
@@ -84,46 +70,49 @@ def parse_flags(flags: str) -> dict[str, str]:
     return values
 
 
-def names_a_file(flags: str) -> bool:
-    """Return whether a value of ``XLA_FLAGS`` names a file that contains the flags."""
+def _names_a_file(flags: str) -> bool:
     return bool(flags.strip()) and not flags.lstrip().startswith("-")
 
 
 def current_options() -> dict[str, str]:
-    """The options set by ``XLA_FLAGS``, or by the file that it names, see `parse_flags`."""
+    """Return the options set by ``XLA_FLAGS``, or by the file that it names, see `parse_flags`."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if names_a_file(flags):
+    if _names_a_file(flags):
         with contextlib.suppress(OSError, ValueError):
             flags = Path(flags.strip()).read_text(encoding="utf-8")
     return parse_flags(flags)
 
 
 def instruction_set() -> str:
-    """The instruction set in use: this machine's, limited by ``XLA_FLAGS``."""
+    """Return the instruction set in use: this machine's, limited by ``XLA_FLAGS``."""
     return machine.instruction_set(current_options().get("xla_cpu_max_isa", ""))
 
 
-def required_options() -> tuple[XlaOption, ...]:
-    """The options for the instruction set in use.
+def required_options() -> dict[str, str]:
+    """Return the options for the instruction set in use, by name.
 
     On x86 they include LLVM's options for loops over lanes in double precision: wider vectors than
     LLVM would choose, one per iteration.
     """
-    width = _WIDTHS.get(instruction_set())
-    if width is None:
-        return _OPTIONS
-    loops = XlaOption("--force-vector-width", width), XlaOption("--force-vector-interleave", "1")
-    return _OPTIONS + loops
+    options = _PLAIN | _EXTRA
+    if width := _WIDTHS.get(instruction_set()):
+        options |= {"--force-vector-width": width, "--force-vector-interleave": "1"}
+    return options
 
 
-def missing_options() -> tuple[XlaOption, ...]:
-    """The options that ``XLA_FLAGS`` does not set and this jaxlib knows; none if opted out."""
+def missing_options() -> dict[str, str]:
+    """Return the options that ``XLA_FLAGS`` does not set; none if opted out or refused."""
     unset = _unset_options()
-    refused = refused_options(_jaxlib_version()) if unset else frozenset()
-    return tuple(option for option in unset if option.name not in refused)
+    return unset if unset and options_work(_jaxlib_version()) else {}
 
 
-def merge_options(flags: str, options: Sequence[XlaOption]) -> str:
+def _unset_options() -> dict[str, str]:
+    present = current_options()
+    options = {} if is_opted_out() else required_options()
+    return {name: value for name, value in options.items() if name not in present}
+
+
+def merge_options(flags: str, options: Mapping[str, str]) -> str:
     """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
 
     Args:
@@ -134,9 +123,9 @@ def merge_options(flags: str, options: Sequence[XlaOption]) -> str:
         The new value. Extra options are appended to an existing ``--xla_backend_extra_options``.
     """
     present = parse_flags(flags)
-    missing = [option for option in options if option.name not in present]
-    plain = [f"--{o.name}={o.value}" for o in missing if not o.extra]
-    extra = ",".join(f"{o.name}={o.value}" for o in missing if o.extra)
+    missing = {name: f"{name}={options[name]}" for name in options if name not in present}
+    plain = [f"--{text}" for name, text in missing.items() if name in _PLAIN]
+    extra = ",".join(text for name, text in missing.items() if name not in _PLAIN)
     existing = [m for m in _FLAG.finditer(flags) if m[1] == EXTRA_FLAG]
     if extra and existing:
         value = existing[-1][2]
@@ -148,29 +137,26 @@ def merge_options(flags: str, options: Sequence[XlaOption]) -> str:
     return " ".join([flags.strip(), *plain]).strip()
 
 
-def extended_flags() -> str:
-    """``XLA_FLAGS`` with the missing options added; unchanged if it names a file."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    return flags if names_a_file(flags) else merge_options(flags, missing_options())
-
-
 def apply_options() -> None:
     """Add the missing options to ``XLA_FLAGS``; has an effect only before JAX starts.
 
     Warns:
-        ConfigurationWarning: ``XLA_FLAGS`` names a file without all the options, or jaxlib does not
-            know some of them.
+        ConfigurationWarning: ``XLA_FLAGS`` names a file without all the options, or this jaxlib
+            refuses them.
     """
-    flags, missing = os.environ.get("XLA_FLAGS", ""), missing_options()
-    if names_a_file(flags) and missing:
-        _warn_incomplete_options(
-            f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)} to it"
+    flags, unset, missing = os.environ.get("XLA_FLAGS", ""), _unset_options(), missing_options()
+    if missing and not _names_a_file(flags):
+        os.environ["XLA_FLAGS"] = merge_options(flags, missing)
+    elif unset:
+        problem = f"jaxlib {_jaxlib_version()} refuses them"
+        if missing:
+            problem = f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)}"
+        warnings.warn(
+            "sinsjax's XLA options are not all in effect, runs may be several times slower:"
+            f" {problem} ({OPT_OUT}=0 silences this warning)",
+            ConfigurationWarning,
+            stacklevel=3,
         )
-    elif missing:
-        os.environ["XLA_FLAGS"] = extended_flags()
-    if not names_a_file(flags) and (refused := _unset_options()):
-        names = ", ".join(f"--{option.name.removeprefix('--')}" for option in refused)
-        _warn_incomplete_options(f"jaxlib {_jaxlib_version()} does not know {names}")
 
 
 def has_backend_started() -> bool:
@@ -181,34 +167,29 @@ def has_backend_started() -> bool:
 
 
 @functools.cache
-def refused_options(jaxlib: str) -> frozenset[str]:
-    """The names of the `required_options` options that a jaxlib version does not know.
+def options_work(jaxlib: str) -> bool:
+    """Return whether a jaxlib version knows all options; an unknown one would end this process.
 
-    An unknown option would end this process, so a version not in `TESTED_JAXLIB` is tried in a
-    separate one, first with all the options and, if it fails, with each alone. The answer is stored
-    in the user's cache folder.
-
-    Args:
-        jaxlib: the installed version.
-
-    Returns:
-        Names of options; all of them if nothing can be tried.
+    A version not in `TESTED_JAXLIB` is tried in a separate process. The answer is stored in the
+    user's cache folder.
     """
-    options = required_options()
     if jaxlib in TESTED_JAXLIB:
-        return frozenset()
-    key, trial_results = f"jaxlib {jaxlib} {merge_options('', options)}", _read_trial_results()
-    if key not in trial_results:
-        if not can_compile(""):
-            return frozenset(option.name for option in options)
-        refused = [] if can_compile(merge_options("", options)) else options
-        names = [option.name for option in refused if not can_compile(merge_options("", [option]))]
-        trial_results[key] = names
-        _write_trial_results(trial_results)
-    return frozenset(trial_results[key])
+        return True
+    flags = merge_options("", required_options())
+    key, known = f"jaxlib {jaxlib} {flags}", dict[str, bool]()
+    with contextlib.suppress(OSError, ValueError):  # if nothing is stored, the next process tries
+        path = machine.user_cache_folder() / "xla_trials.json"
+        if path.exists():
+            known = dict(json.loads(path.read_text(encoding="utf-8")))
+        if key not in known and _can_compile(""):
+            known[key] = _can_compile(flags)
+            machine.ensure_private_folder(path.parent)
+            with atomic_write(path) as file:
+                file.write(json.dumps(known, indent=1).encode())
+    return known.get(key) is True
 
 
-def can_compile(flags: str) -> bool:
+def _can_compile(flags: str) -> bool:
     """Return whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
     settings = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
     try:
@@ -225,41 +206,6 @@ def can_compile(flags: str) -> bool:
     return process.returncode == 0
 
 
-def _unset_options() -> tuple[XlaOption, ...]:
-    present = current_options()
-    return () if is_opted_out() else tuple(o for o in required_options() if o.name not in present)
-
-
-def _warn_incomplete_options(problem: str) -> None:
-    warnings.warn(
-        f"sinsjax's XLA options are not all in effect, runs may be several times slower: {problem}"
-        f" ({OPT_OUT}=0 silences this warning)",
-        ConfigurationWarning,
-        stacklevel=4,
-    )
-
-
 @functools.cache
 def _jaxlib_version() -> str:
     return importlib.metadata.version("jaxlib")
-
-
-def _trial_results_file() -> Path:
-    return machine.user_cache_folder() / "xla_options.json"
-
-
-def _read_trial_results() -> dict[str, list[str]]:
-    """The options refused in earlier trials, by jaxlib version and options tried."""
-    try:
-        stored = json.loads(_trial_results_file().read_text(encoding="utf-8"))
-        return {key: names for key, names in stored.items() if isinstance(names, list)}
-    except (OSError, ValueError, AttributeError):
-        return {}
-
-
-def _write_trial_results(results: dict[str, list[str]]) -> None:
-    # If nothing can be stored, the next process tries again.
-    with contextlib.suppress(OSError, InputError):
-        machine.ensure_private_folder(_trial_results_file().parent)
-        with atomic_write(_trial_results_file()) as file:
-            file.write(json.dumps(results, indent=1).encode())

@@ -143,9 +143,9 @@ def render_png(figure: Figure, footer: str = "") -> bytes:
         drawn.append(_render_pixels(strip))
     buffer = io.BytesIO()
     pixels = np.vstack(drawn)
-    anonymous: Any = {"Software": None}
+    mark: Any = {"Software": "sinsjax"}  # by which `sweep --overwrite` knows its figures
     fast = {"compress_level": _LEVEL}
-    imsave(buffer, pixels, format="png", dpi=figure.dpi, metadata=anonymous, pil_kwargs=fast)
+    imsave(buffer, pixels, format="png", dpi=figure.dpi, metadata=mark, pil_kwargs=fast)
     return buffer.getvalue()
 
 

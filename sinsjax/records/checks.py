@@ -240,7 +240,7 @@ def _check_gyros(
     turns, parked_turn = means.turns, (expected.earth_rate + expected.gyro_bias) * means.length_s
     hidden = _describe_hidden_north(means, layout, rate_hz, expected)
     findings = [] if hidden else [*_check_rate(means, expected, noise)]
-    if turns is not None and (hidden or findings or turns.angle > _MIN_TURN + parked_turn):
+    if turns is not None and (hidden or turns.angle > _MIN_TURN + parked_turn):
         turned = f"by its gyros the base turns by {turns.angle / DEG:.3g} deg, and"
         if finds_north_by_turns(means, expected):
             if turns.gyro_bias <= expected.gyro_bias:
@@ -249,9 +249,8 @@ def _check_gyros(
             text = f"{turned} {bias} would explain the record: are the signs and axes of the gyros"
             return [Finding(False, f"{text} right?")]
         is_measured = turns.drift_uncertainty <= expected.horizontal_rate / 5
-        if not hidden and (
-            is_measured or turns.accel_bias * expected.gravity > expected.accel_bias
-        ):
+        is_wrong = is_measured or turns.accel_bias * expected.gravity > expected.accel_bias
+        if not hidden and is_wrong:
             hidden = (
                 f"{turned} in the frame of its gyros the vertical drifts by"
                 f" {turns.drift / DEG_PER_H:.3g} deg/h, and not by the horizontal Earth rate of"
@@ -277,6 +276,7 @@ def _describe_hidden_north(
     if abs(means.vertical_rate / magnitude - math.sin(expected.latitude)) < 0.2:
         ratio = earth / magnitude
         unit = _suggest_unit(GYRO_UNITS, layout.gyro_unit, layout, rate_hz, ratio, 0.5)
+    mirrored = abs(means.vertical_rate + vertical) + means.vertical_uncertainty
     turned_square = ((earth + expected.gyro_bias) * means.length_s) ** 2
     if abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal:
         cause = f"a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more hides Earth rate"
@@ -287,9 +287,7 @@ def _describe_hidden_north(
         cause = "has Earth rate been removed, or are the gyros' unit, axes or signs wrong?"
     elif means.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
         cause = "the gyros do not follow the vertical: are their unit, axes and signs right?"
-    elif abs(means.vertical_rate + vertical) + means.vertical_uncertainty < _MIRRORED * abs(
-        vertical
-    ):
+    elif mirrored < _MIRRORED * abs(vertical):
         cause = "its vertical part has the wrong sign: are the gyros' axes and the latitude right?"
     else:
         return ""

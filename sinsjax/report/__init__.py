@@ -9,8 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import register_figures
-from sinsjax.execution.source import Source
+from sinsjax.execution.directory import remove_other_figures
+from sinsjax.execution.results import Results
 from sinsjax.messages import shorten
 from sinsjax.platform.files import require_writable
 from sinsjax.report import monte_carlo
@@ -75,13 +75,13 @@ def _print_reports(
             source = results.read_evaluation(directory)
             report = tuning.build_report(source)
         else:
-            source = Source.read(directory, unfinished=True)
+            source = Results.read(directory, whole_draws=True)
             report = monte_carlo.build_report(
                 source, with_tables=full or html is not None, warnings_shown=warnings_shown
             )
         drawn = DrawnReport.from_report(source, report)
         save_figures(drawn.images, directory / FIGURES_FOLDER)
-        register_figures({f"{name}.png": image for name, image in drawn.images.items()}, directory)
+        remove_other_figures(directory, [f"{name}.png" for name in drawn.images])
         print_report(drawn, console, full=full)
         reports.append(drawn)
     if html is not None:

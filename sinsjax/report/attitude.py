@@ -9,7 +9,7 @@ from scipy import special
 
 from sinsjax import analysis
 from sinsjax.errors import InputError
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
@@ -32,7 +32,7 @@ _COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arc
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
-def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
+def attitude_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
     """Return the attitude of each start, its cautions, and the best option.
 
     Args:
@@ -55,7 +55,7 @@ def attitude_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
     return Report(study_title(source), facts + doubts, table)
 
 
-def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
+def _attitude_fact(source: Results, row: Mapping[str, Any], n_runs: int) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _COLUMNS)
     if heading is None and pitch is not None:
@@ -72,7 +72,7 @@ def _attitude_fact(source: Source, row: Mapping[str, Any], n_runs: int) -> Fact:
     return Fact("Attitude", text)
 
 
-def _front_text(source: Source) -> str:
+def _front_text(source: Results) -> str:
     """What a heading is that of, if the axes of the record are a choice of the study."""
     record = source.study.record
     if record is None or record.format not in ("csv", "parquet"):
@@ -83,7 +83,7 @@ def _front_text(source: Source) -> str:
     return f" of {'-' if sign < 0 else '+'}{'xyz'[front]}"
 
 
-def _bias_floor_fact(source: Source) -> Iterator[Fact]:
+def _bias_floor_fact(source: Results) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
     if not any(METHODS[name].has_floor for name in source.study.methods):
         return
@@ -102,7 +102,7 @@ def _bias_floor_fact(source: Source) -> Iterator[Fact]:
     yield Fact("Floor", text)
 
 
-def _caution_facts(source: Source) -> Iterator[Fact]:
+def _caution_facts(source: Results) -> Iterator[Fact]:
     filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
     if filters and not all(map(estimates_biases, filters)):
         text = "1 sigma is the filter's own and excludes constant biases: add their floor in"
@@ -115,7 +115,7 @@ def _caution_facts(source: Source) -> Iterator[Fact]:
         yield from _fit_cautions(source)
 
 
-def _fit_cautions(source: Source) -> Iterator[Fact]:
+def _fit_cautions(source: Results) -> Iterator[Fact]:
     """Doubts about fits, and a gyro bias beyond what the checks of a record accept."""
     yield from fit_cautions(source)
     record = source.study.record
@@ -128,7 +128,7 @@ def _fit_cautions(source: Source) -> Iterator[Fact]:
         yield Fact("Caution", f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?", True)
 
 
-def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
+def _final_attitude_table(source: Results, rows: list[dict[str, Any]]) -> Table:
     """Final heading, pitch and roll of each start, or of each variant at the last start."""
     one_variant = source.study.n_variants == 1
     keys = source.study.keys_shown
@@ -152,7 +152,7 @@ def _final_attitude_table(source: Source, rows: list[dict[str, Any]]) -> Table:
     return Table("Attitude at the end", [first, *(words[name] for name in columns)], cells)
 
 
-def attitude_table(source: Source) -> Table:
+def attitude_table(source: Results) -> Table:
     """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys = ["start_s", *source.study.keys_shown]
     digits = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
@@ -169,7 +169,7 @@ def attitude_table(source: Source) -> Table:
     return build_table(title, keys, rows, cells, " ".join(notes))
 
 
-def describe_innovations(source: Source) -> str:
+def describe_innovations(source: Results) -> str:
     """Describe how the filters' innovations on a record agree with their covariance.
 
     Only values above the chi-square band contradict the covariance. Values below it mean that R is
@@ -195,13 +195,13 @@ def describe_innovations(source: Source) -> str:
     return text
 
 
-def _count_runs_above_band(source: Source) -> int:
+def _count_runs_above_band(source: Results) -> int:
     """Return the number of runs with innovations above the chi-square band."""
     statistics = _innovation_statistics(source)
     return 0 if statistics is None else int((statistics[0] > statistics[2]).sum())
 
 
-def _innovation_statistics(source: Source) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _innovation_statistics(source: Results) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """The mean of r' S^-1 r of each run with a filter, and its 95 % chi-square band."""
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])

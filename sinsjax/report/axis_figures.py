@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from sinsjax import analysis, plots
 from sinsjax.analysis.grids import split_into_panels
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
@@ -40,7 +40,7 @@ def figure_axes(study: Study) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
     return axes, [key for key in study.keys_shown if key not in axes]
 
 
-def build_axis_figures(source: Source) -> list[Block]:
+def build_axis_figures(source: Results) -> list[Block]:
     """Return the figures over the swept numbers and the drawn numbers.
 
     With two numeric axes or more, heat maps over the first two in the order of the study, a panel
@@ -73,7 +73,7 @@ def build_axis_figures(source: Source) -> list[Block]:
     return blocks
 
 
-def repeated_variants_note(source: Source) -> Iterator[str]:
+def repeated_variants_note(source: Results) -> Iterator[str]:
     """Yield a note on how tables count duplicate variants, if there are any."""
     if keys := source.study.idle_keys():
         variants, kept = source.study.n_variants, len({*source.study.duplicate_of})
@@ -85,7 +85,7 @@ def repeated_variants_note(source: Source) -> Iterator[str]:
         )
 
 
-def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Block]:
+def _heat_map_figures(source: Results, criterion: SuccessMeasure) -> Iterator[Block]:
     """Yield the maps by one criterion of success, without those that show nothing.
 
     They are over the first two swept numbers, a panel for each point of all other keys.
@@ -153,7 +153,7 @@ def _heat_map_figures(source: Source, criterion: SuccessMeasure) -> Iterator[Blo
 
 
 def _axis_curve_figure(
-    source: Source, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
+    source: Results, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
 ) -> Picture | None:
     titles = {
         f"{y.settle_column}_median": f"median time (s) to {y.description}"

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sinsjax import analysis
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.plots.labels import format_value
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
@@ -136,7 +136,7 @@ def describe_success_criterion(study: Study) -> str:
 
 
 def describe_intervals(
-    source: Source, sampled_units: str = "draws", quantity: str = "Number"
+    source: Results, sampled_units: str = "draws", quantity: str = "Number"
 ) -> str:
     """Describe the brackets of a table, or why there are none."""
     if source.study.is_recorded:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.columns import FAILED
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS, PACKAGES
@@ -22,7 +22,7 @@ _YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
 _FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explained
 
 
-def consistency_blocks(source: Source) -> Iterator[Picture | str]:
+def consistency_blocks(source: Results) -> Iterator[Picture | str]:
     """Consistency where the method has a covariance, of the heading from the bias floor if biased.
 
     One line per variant; of many variants, one line per value of the first key that has few.
@@ -41,7 +41,7 @@ def consistency_blocks(source: Source) -> Iterator[Picture | str]:
         yield consistency_picture(figure, note, from_floor=from_floor)
 
 
-def _explain_unmodelled_biases(source: Source) -> list[str]:
+def _explain_unmodelled_biases(source: Results) -> list[str]:
     """Explain why filters without bias states have no NEES of 3 with constant sensor biases."""
     study = source.study
     methods = [METHODS[name] for name in study.methods]
@@ -81,7 +81,7 @@ def _explain_unmodelled_biases(source: Source) -> list[str]:
     return sentences
 
 
-def covariance_cautions(source: Source) -> Iterator[Fact]:
+def covariance_cautions(source: Results) -> Iterator[Fact]:
     """Yield a caution for each plug-in method with runs that end with an impossible covariance.
 
     Sigmas are null if a variance is negative or not finite. Runs that failed are left out.

@@ -1,7 +1,6 @@
 """Runs grouped for tables and figures: the lines along an axis, and bins of a drawn key."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from sinsjax import analysis
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.plots.comparison import MAX_LINES
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.success import success_columns
@@ -26,7 +25,7 @@ def describe_undrawn_lines(table: pa.Table, line_keys: Sequence[str]) -> str:
     return f" {left} more lines are not drawn." if left > 0 else ""
 
 
-def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
+def choose_line_keys(source: Results) -> tuple[Sequence[str], str]:
     """Return the keys that identify a few lines, and a note for the caption.
 
     These are all keys if there are few variants, else the first key with few values, or none.
@@ -39,7 +38,7 @@ def choose_line_keys(source: Source) -> tuple[Sequence[str], str]:
     return (), " All runs together."
 
 
-def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]]:
+def bin_drawn_keys(source: Results) -> dict[str, tuple[Results, tuple[float, ...]]]:
     """Return the runs of each drawn number of a study in bins of about as many draws.
 
     Returns:
@@ -66,7 +65,7 @@ def bin_drawn_keys(source: Source) -> dict[str, tuple[Source, tuple[float, ...]]
         place = table.column_names.index(key)
         table = table.set_column(place, key, pa.array(medians))
         table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
-        found[key] = replace(source, table=table), tuple(map(float, np.unique(medians)))
+        found[key] = source.with_summary(table), tuple(map(float, np.unique(medians)))
     return {key: bins for key, bins in found.items() if len(bins[1]) > 1}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis.formats import format_heading_error
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.report.base import Fact, Report, Table, build_table
 from sinsjax.report.verdict import study_title
 
@@ -15,7 +15,7 @@ _SIGMAS = {"sigma_e_arcmin": 1, "sigma_n_arcmin": 1}
 _ERRORS = ("phi_e_arcmin", "phi_n_arcmin")
 
 
-def level_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
+def level_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
     """Return the pitch and roll at the end, their error if a truth is known, and all warnings.
 
     Args:
@@ -32,7 +32,7 @@ def level_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
     return Report(study_title(source), [*facts, *doubts], table)
 
 
-def _attitude_fact(source: Source) -> Fact:
+def _attitude_fact(source: Results) -> Fact:
     """The pitch and roll that the last run ends with."""
     names = [*_ANGLES, *_SIGMAS]
     row = source.rows(["start_s", *names]).to_pylist()[-1]
@@ -49,7 +49,7 @@ def _attitude_fact(source: Source) -> Fact:
     return Fact("Attitude", text)
 
 
-def _accuracy_fact(source: Source) -> Iterator[Fact]:
+def _accuracy_fact(source: Results) -> Iterator[Fact]:
     """The error of pitch and roll from the truth or reference, if there is one."""
     table = source.distinct_rows(["draw_id", "start_s", *_ERRORS])
     errors = np.concatenate([analysis.numeric_column(table, name) for name in _ERRORS])
@@ -61,7 +61,7 @@ def _accuracy_fact(source: Source) -> Iterator[Fact]:
         yield Fact("Accuracy", f"{format_heading_error(found)}' rms from the {aim} per angle")
 
 
-def _final_level_table(source: Source) -> Table:
+def _final_level_table(source: Results) -> Table:
     """The pitch and roll at the end of each run."""
     keys = ["start_s" if source.study.is_recorded else "draw_id", *source.study.keys_shown]
     digits = _ANGLES | _SIGMAS

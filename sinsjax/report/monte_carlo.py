@@ -12,7 +12,7 @@ from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.references import compare_with_first_group
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS, read_estimate
 from sinsjax.columns import report_time_columns
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.labels import describe_point
@@ -40,7 +40,7 @@ _END = "phi_u_arcmin"
 
 
 def build_report(
-    source: Source, *, with_tables: bool = True, warnings_shown: bool = False
+    source: Results, *, with_tables: bool = True, warnings_shown: bool = False
 ) -> Report:
     """The verdict and the figures of a study, and all tables if they are wanted.
 
@@ -71,7 +71,7 @@ def build_report(
     return verdict._replace(facts=facts, blocks=blocks)
 
 
-def _program_facts(source: Source) -> Iterator[Fact]:
+def _program_facts(source: Results) -> Iterator[Fact]:
     """Yield heading error and success of each program outside sinsjax."""
     if not source.study.study.external:
         return
@@ -86,7 +86,7 @@ def _program_facts(source: Source) -> Iterator[Fact]:
             yield Fact("Program", f"{row['method']}: {text}")
 
 
-def statistics_table(source: Source, keys: Sequence[str], title: str, *, note: str = "") -> Table:
+def statistics_table(source: Results, keys: Sequence[str], title: str, *, note: str = "") -> Table:
     """Return the statistics of each group of runs that share some keys, as a table."""
     columns = _statistic_columns(source)
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
@@ -113,7 +113,7 @@ class _StatisticColumn(NamedTuple):
         return self.format_value(read_estimate(row, self.name))
 
 
-def _statistic_columns(source: Source) -> list[_StatisticColumn]:
+def _statistic_columns(source: Results) -> list[_StatisticColumn]:
     """Return the columns of success, settling time and heading error, by each criterion."""
     seconds, arcmin = (partial(format_estimate, digits=digits) for digits in (0, 1))
     yards = source.success_measures
@@ -146,7 +146,7 @@ def _statistic_columns(source: Source) -> list[_StatisticColumn]:
     ]
 
 
-def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Table:
+def heading_error_table(source: Results, keys: Sequence[str], title: str) -> Table:
     """Return the heading errors from the truth, at each report time and at the end, as a table."""
     times_s = source.study.study.report_times_s or ()
     times = {report_time_columns(time)[0].name: f"{time:g} s" for time in times_s} | {
@@ -170,7 +170,7 @@ def heading_error_table(source: Source, keys: Sequence[str], title: str) -> Tabl
     return build_table(title, keys, rows, cells, note, max_rows=MAX_ROWS * len(times))
 
 
-def first_variant_comparison_table(source: Source) -> Table:
+def first_variant_comparison_table(source: Results) -> Table:
     """Return the difference of each variant from the first under the same conditions, by draw."""
     keys, yards = source.study.keys_shown, source.success_measures
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
@@ -226,7 +226,7 @@ def first_variant_comparison_table(source: Source) -> Table:
     )
 
 
-def _all_tables(source: Source) -> Iterator[Block]:
+def _all_tables(source: Results) -> Iterator[Block]:
     """Yield the tables of all variants, or of each key, which pools the others."""
     study = source.study
     held_out = "" if study.is_recorded else describe_held_out(SweepOutcome.from_source(source))
@@ -252,7 +252,7 @@ def _all_tables(source: Source) -> Iterator[Block]:
     yield from _drawn_key_tables(source, keys)
 
 
-def _drawn_key_tables(source: Source, keys: Sequence[str]) -> Iterator[Table]:
+def _drawn_key_tables(source: Results, keys: Sequence[str]) -> Iterator[Table]:
     """The statistics of bins of each drawn number, of every variant if these are few."""
     for key, (binned_source, medians) in bin_drawn_keys(source).items():
         few = len(medians) * source.study.n_variants <= MAX_ROWS
@@ -263,7 +263,7 @@ def _drawn_key_tables(source: Source, keys: Sequence[str]) -> Iterator[Table]:
         )
 
 
-def _curve_figures(source: Source) -> Iterator[Block]:
+def _curve_figures(source: Results) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
     if not source.has_curves:
         return
@@ -271,7 +271,7 @@ def _curve_figures(source: Source) -> Iterator[Block]:
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])
     runs = select_runs_by_line(table, keys)
-    curves = source.curves(run for ids in runs.values() for run in ids)
+    curves = source.read_curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:
         return
     count = max(map(len, runs.values()))

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from sinsjax import plots
 from sinsjax.console import print_line
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.report.base import Report, Table, describe_success_criterion
 from sinsjax.report.markdown import Section, to_html
@@ -27,12 +27,12 @@ class DrawnReport(NamedTuple):
         images: PNG files by the name of the figure.
     """
 
-    source: Source
+    source: Results
     report: Report
     images: Mapping[str, bytes]
 
     @classmethod
-    def from_report(cls, source: Source, report: Report) -> "DrawnReport":
+    def from_report(cls, source: Results, report: Report) -> "DrawnReport":
         """Draw the figures of a report."""
         footer = report.data_footer or source.sample_size_text
         images = {
@@ -45,7 +45,7 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
     """Print the verdict, where the figures are, and all tables if wanted."""
     source, report, _ = drawn
     console.print()
-    footer = [f"Figures: {source.directory / FIGURES_FOLDER}"] if report.pictures else []
+    footer = [f"Figures: {source.directory}/{FIGURES_FOLDER}"] if report.pictures else []
     if not full:
         footer.append(f"All tables: sinsjax report {source.directory} --full")
     print_verdict(report, console, footer, full=full)

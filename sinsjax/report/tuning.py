@@ -9,7 +9,7 @@ import numpy as np
 
 from sinsjax.analysis import NO_INTERVAL, UNKNOWN, Estimate, format_estimate
 from sinsjax.analysis.formats import format_percent
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
@@ -25,7 +25,7 @@ DOUBLE_RESET_S = 1.0
 """Resets closer than this are printed as a double reset, s."""
 
 
-def build_report(source: Source) -> Report:
+def build_report(source: Results) -> Report:
     """Return the candidates on the unused draws, and how the searches found them.
 
     Raises:

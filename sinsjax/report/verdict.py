@@ -19,7 +19,7 @@ from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
 from sinsjax.execution import stopping
 from sinsjax.execution.checks import band_warnings
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table
@@ -58,7 +58,7 @@ _FIT_DOUBTS = {
 """Columns of a fit: above which value they are a doubt, and the doubt."""
 
 
-def sweep_verdict(source: Source, *, warnings_shown: bool = False) -> Report:
+def sweep_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
     """Return the verdict on a simulated study, or on a recorded one with a reference.
 
     Args:
@@ -86,7 +86,7 @@ class SweepOutcome:
         off_floor: (options, conditions, draws) successes outside the band about the bias floor.
     """
 
-    source: Source
+    source: Results
     choices: Choices
     criterion: SuccessMeasure
     time_s: NDArray
@@ -95,7 +95,7 @@ class SweepOutcome:
     off_floor: NDArray
 
     @classmethod
-    def from_source(cls, source: Source) -> "SweepOutcome":
+    def from_source(cls, source: Results) -> "SweepOutcome":
         """Read the columns of the summary that a verdict needs."""
         criteria = source.success_measures
         table = source.rows(
@@ -203,7 +203,7 @@ class SweepOutcome:
         return times_s.ravel(), np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
 
 
-def study_title(source: Source) -> str:
+def study_title(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")
@@ -222,7 +222,7 @@ def study_title(source: Source) -> str:
     )
 
 
-def split_warnings(source: Source, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
+def split_warnings(source: Results, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
     """Return the warnings of a study: of a band out of reach, which comes first, and all others.
 
     Those that the user has seen are left out, but for the first.
@@ -234,7 +234,7 @@ def split_warnings(source: Source, *, warnings_shown: bool) -> tuple[list[Fact],
     return [Fact("Band", line, True) for line in bands], facts
 
 
-def process_noise_caution(source: Source) -> Iterator[Fact]:
+def process_noise_caution(source: Results) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
@@ -250,7 +250,7 @@ def process_noise_caution(source: Source) -> Iterator[Fact]:
         )
 
 
-def fit_cautions(source: Source, rare: float = 0.0) -> Iterator[Fact]:
+def fit_cautions(source: Results, rare: float = 0.0) -> Iterator[Fact]:
     """Yield doubts about fits, of which more than a share ``rare`` have too large a column."""
     if "gravity_fit" not in source.study.methods:
         return

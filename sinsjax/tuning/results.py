@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sinsjax.analysis import Estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -38,7 +38,7 @@ _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
 
 
-def read_evaluation(directory: Path) -> Source:
+def read_evaluation(directory: Path) -> Results:
     """Read the evaluation of a complete tuning run, with the directory of the whole run.
 
     Raises:
@@ -46,9 +46,10 @@ def read_evaluation(directory: Path) -> Source:
     """
     if not (directory / EVALUATION / "summary").is_dir():
         raise _incomplete_error(directory)
-    evaluation = Source.read(directory / EVALUATION)
+    evaluation = Results.read(directory / EVALUATION)
     assert evaluation.draws  # checks that no run is missing
-    return replace(evaluation, directory=directory, table=evaluation.summary)
+    evaluation.directory = directory
+    return evaluation
 
 
 def _incomplete_error(directory: Path) -> InputError:
@@ -70,16 +71,17 @@ class Tuning:
 
     study: Study
     evaluation_study: Study
-    source: Source
+    source: Results
     searches: dict[str, SearchResult]
 
     @classmethod
-    def from_source(cls, source: Source) -> "Tuning":
+    def from_source(cls, source: Results) -> "Tuning":
         """Read a completed tuning run.
 
         Raises:
             InputError: a search is missing: the evaluation is that of an earlier tuning run.
         """
+        assert source.directory is not None
         study = load_tuned_study(source.directory)
         searches = history.read_searches(source.directory, SearchSpace.from_study(study))
         by_name = {result.search.replace("_", " "): result for result in searches}

@@ -84,12 +84,9 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_p
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["runs"] == manifest["runs_done"] == 6 and manifest["seed"] == 1
     assert (manifest["state"], manifest["config"]) == ("complete", config.name)
-    (chunk,) = manifest["chunks"]
-    assert {file["rows"] for file in chunk["files"]} == {6, 36}
-    (session,) = manifest["sessions"]
-    assert session["devices"] == manifest["devices"] == 2
-    assert session["devices_are"] == "threads over one program"
-    assert session["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
+    assert manifest["devices"] == 2
+    assert manifest["devices_are"] == "threads over one program"
+    assert manifest["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
 
 
 def test_existing_results_are_overwritten_only_on_request(sinsjax: Command, tmp_path: Path) -> None:

@@ -19,11 +19,12 @@ LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "x
 def public_names() -> dict[str, Any]:
     """Return all public objects by name, with the methods of `WITH_METHODS`."""
     found = {name: getattr(sinsjax, name) for name in sinsjax.__all__}
-    shown = set(dir(sinsjax.load_study("reset_sweep")))
+    study = sinsjax.load_study("reset_sweep")
+    shown = {"read", *dir(study), *dir(sinsjax.Results(study, None, tables={}))}
     for name in WITH_METHODS:
         methods = {key for key, _ in inspect.getmembers(found[name], callable)}
         own = {key for key in methods & {*vars(found[name])} if not key.startswith("_")}
-        own = own & shown if name == "Study" else own
+        own = own if name == "TuningResults" else own & shown
         found |= {f"{name}.{key}": getattr(found[name], key) for key in sorted(own)}
     return found
 

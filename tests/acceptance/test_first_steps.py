@@ -100,6 +100,8 @@ def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) 
     schema, _, text = copy.read_text().partition("\n")
     assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
     original = (ROOT / "configs" / "reset_sweep.toml").read_text()
+    original = original.replace("configs/reset_sweep.toml", "reset_sweep.toml")
+    original = original.replace("configs/paper1_conditions.toml", "paper1_conditions")
     assert original == f"#:schema ./schema.json\n#:group first 1\n{text}"
     code, _, error = sinsjax("init", "tune", "--out", copy)
     assert (code, error.count("\n")) == (2, 1) and "exists" in error

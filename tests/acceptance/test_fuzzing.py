@@ -15,7 +15,7 @@ from support.sweep_directories import rewrite_manifest
 
 from sinsjax.errors import InputError
 from sinsjax.execution import resume
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.execution.tasks import Job
 
 EXAMPLES = {"studies": 1000, "manifests": 500, "records": 1000}
@@ -71,8 +71,11 @@ def directory_with(manifest: dict[str, Any], folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("warnings", [1, True, {"a": 1}, "text", 2.5])
-def test_manifest_warnings_of_wrong_type_are_ignored(warnings: Any, tmp_path: Path):
-    assert Source.read(directory_with({"warnings": warnings}, tmp_path)).warnings == ()
+def test_manifest_warnings_of_wrong_type_are_refused_in_one_line(warnings: Any, tmp_path: Path):
+    out = directory_with({"warnings": warnings}, tmp_path)
+    with pytest.raises(InputError, match=r"manifest.json: warnings\S*: ") as caught:
+        Results.read(out)
+    check_error_lines(caught.value, out)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +92,7 @@ def test_manifest_warnings_of_wrong_type_are_ignored(warnings: Any, tmp_path: Pa
 def test_misfit_study_in_manifest_is_refused_in_one_line(sections: Any, tmp_path: Path):
     out = directory_with({"study": sections, "fingerprint": "0"}, tmp_path)
     with pytest.raises(InputError, match="study.toml: is not the study of the results") as caught:
-        Source.read(out)
+        Results.read(out)
     check_error_lines(caught.value, out)
 
 
@@ -106,9 +109,7 @@ def test_misfit_study_of_manifest_is_resumed_or_refused_in_one_line(settings: An
 @pytest.mark.parametrize("text", ["[" * 5000, "\x1b[31m", "1\n2"])
 @pytest.mark.parametrize("key", ["versions", "instructions"])
 def test_version_mismatch_is_reported_in_one_printable_line(key: str, text: str, tmp_path: Path):
-    session = {"started_unix_s": 1.0, "wall_s": 1.0}
-    session |= {key: {"numpy": text} if key == "versions" else text}
-    out = directory_with({"sessions": [session]}, tmp_path)
+    out = directory_with({key: {"numpy": text} if key == "versions" else text}, tmp_path)
     with pytest.raises(InputError, match="was computed with (numpy|instruction set)") as caught:
         resume.continue_job(Job(manifests.STUDY, directory=out))
         resume.check_instruction_set(out, "AVX2")

@@ -18,7 +18,7 @@ from support.studies import BASE, small_study, small_tables
 from sinsjax import cli, console
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import resume, run
-from sinsjax.execution.directory import find_manifest
+from sinsjax.execution.directory import Manifest
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import to_one_line
 from sinsjax.platform import runtime
@@ -130,7 +130,7 @@ def test_manifest_nested_too_deeply_is_refused_in_one_line(
     assert error.endswith("(`--resume` writes it again)\n")
     assert error.count("\n") == 1
     assert not (out / "reruns").exists()
-    assert find_manifest(out) is None  # resume asks the parts
+    assert Manifest.find(out) is None  # resume asks the parts
 
 
 # --- parts ------------------------------------------------------------------------------------

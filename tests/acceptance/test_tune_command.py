@@ -117,7 +117,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_tuning_writes_study_history_and_evaluation(made: Path) -> None:
     names = {"study.toml", "tuned.toml", "history.parquet", "grid", "evaluation"}
-    assert {path.name for path in made.iterdir()} == names | {".lock", ".writer"}
+    assert {path.name for path in made.iterdir()} == names | {".lock"}
     study = load_study(made / "study.toml")
     assert study == load_study(made.parent / "swing.toml")
     grid, gradient = history.read_searches(made, SearchSpace.from_study(study))
@@ -198,9 +198,7 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
     with pytest.raises(InputError, match="part-0000-000000.parquet: has changed since it was wri"):
         report_text(out)
     write_part(part, shorter, read_manifest(out / "evaluation")["identity"])
-    with pytest.raises(
-        InputError, match=r"evaluation: has 23 runs, but the study has 24 .continue"
-    ):
+    with pytest.raises(InputError, match=r"evaluation/summary: .* 23 of 24 runs are there"):
         report_text(out)
 
 
@@ -312,9 +310,7 @@ def test_concurrent_tunings_in_one_directory_are_refused(
     held = lock_directory(out)
     before = read_files_and_times(out)
     try:
-        with pytest.raises(
-            InputError, match=r"out: another process is writing there: pid \d+ on .+"
-        ):
+        with pytest.raises(InputError, match=r"out: another process is writing there"):
             from_python.tune(load_study(out / "study.toml"), out, **{how: True})
     finally:
         held.release()
@@ -392,7 +388,7 @@ def test_search_folder_that_is_a_link_is_refused(made: Path, tmp_path: Path) -> 
         lambda: from_python.tune(load_study(out / "study.toml"), out, overwrite=True),
         lambda: report_text(out),
     ):
-        with pytest.raises(InputError, match=r"out/grid: is a symbolic link"):
+        with pytest.raises(InputError, match=r"out/grid: is a link"):
             attempt()
     assert read_files_and_times(tmp_path) == before
 
@@ -402,7 +398,7 @@ def test_report_draws_no_figures_through_a_link(made: Path, tmp_path: Path) -> N
     shutil.rmtree(out / "figures", ignore_errors=True)
     other.mkdir()
     (out / "figures").symlink_to(other)
-    with pytest.raises(InputError, match=r"out/figures: is a symbolic link"):
+    with pytest.raises(InputError, match=r"out/figures: is a link"):
         report_text(out)
     assert not list(other.iterdir())
 

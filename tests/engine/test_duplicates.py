@@ -6,8 +6,8 @@ import pytest
 from support.studies import small_study
 
 from sinsjax.engine import duplicates
+from sinsjax.execution.results import Results
 from sinsjax.execution.run import run
-from sinsjax.execution.study_results import Results
 from sinsjax.execution.tasks import Job, TaskRunner
 
 pytestmark = pytest.mark.optimised(False)

@@ -9,7 +9,7 @@ from support.studies import small_study, with_paper_values
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution import run
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.report.attitude import describe_innovations
@@ -87,7 +87,7 @@ def test_only_nis_above_band_is_reported_as_contradiction(
     tmp_path: Any, mean: list[float], says: str, not_says: str
 ) -> None:
     table = pa.table({"innovation_nis": mean, "innovation_freedom": [2000.0, 2000.0]})
-    text = describe_innovations(Source(tmp_path, recorded(), "x.toml", table))
+    text = describe_innovations(Results(recorded(), None, tables={"summary": table}))
     assert says in text and not_says not in text
 
 
@@ -95,6 +95,6 @@ def test_nis_band_holds_95_percent_of_chi_square(tmp_path: Any) -> None:
     """Of sums of squares of 200 normal numbers, 95 % lie inside; to three digits of 1e5 sums."""
     sums = (np.random.default_rng(0).normal(size=(20_000, 200)) ** 2).sum(1) / 100
     table = pa.table({"innovation_nis": sums, "innovation_freedom": np.full(20_000, 200.0)})
-    text = describe_innovations(Source(tmp_path, recorded(), "x.toml", table))
+    text = describe_innovations(Results(recorded(), None, tables={"summary": table}))
     above, below = (int(text.split(" lie ")[i].split()[-1].replace(",", "")) for i in (0, 1))
     assert above == pytest.approx(500, abs=90) and below == pytest.approx(500, abs=90)

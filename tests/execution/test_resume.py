@@ -15,8 +15,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tasks
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import load_stored_study
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
 from sinsjax.study.identity import describe_differences
@@ -59,8 +58,7 @@ def test_resume_with_other_package_version_is_refused(
     name: str, tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     study, here = small_study(), runtime.relevant_versions()
-    session = {"started_unix_s": 0.0, "wall_s": 1.0, "versions": here}
-    out = store_results(tmp_path / "out", study, synthetic_summary(study), sessions=[session])
+    out = store_results(tmp_path / "out", study, synthetic_summary(study), versions=here)
     before = (out / "manifest.json").read_bytes()
     other = here | {name: "0.0"}
     monkeypatch.setattr(runtime, "relevant_versions", lambda: other)
@@ -77,17 +75,17 @@ def test_resume_with_other_version_of_method_package_is_refused(
     here = runtime.relevant_versions()
     monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.0"})
     run.run_into(study, out)
-    monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.1"})
     run.run_into(study, out, resume=True)
+    monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.1"})
     monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
     with pytest.raises(InputError, match=r"computed with bringing 1\.0, but here is 1\.1 \("):
         run.run_into(study, out, resume=True)
-    assert load_stored_study(out) == study
+    assert Results.read(out).study == study
     text = (out / "study.toml").read_text()
     (out / "study.toml").write_text(text.replace("kalman5", "brought"))
     with pytest.raises(InputError) as caught:
-        Source.read(out)
-    line = f"{out}: was computed with bringing 1.1, not installed here, which may be why: "
+        Results.read(out)
+    line = f"{out}: was computed with bringing 1.0, not installed here, which may be why: "
     assert str(caught.value).startswith(line) and "not 'brought'" in str(caught.value)
 
 
@@ -107,8 +105,7 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
 
     smaller = {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}
     assert sweep(**smaller) == (0, "")
-    manifest = read_manifest(out)
-    assert manifest["instructions"] == manifest["sessions"][0]["instructions"] == "SSE4_2"
+    assert read_manifest(out)["instructions"] == "SSE4_2"
     before = (out / "manifest.json").read_bytes()
     here = xla.instruction_set()
     told = f"out: was computed with instruction set SSE4_2, but here is {here} .use.*max_isa=SSE4_2"
@@ -118,15 +115,13 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     theirs = tasks.local_executor()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
     assert (out / "manifest.json").read_bytes() == before
     run.run_into(study, out, resume=True, executor=theirs)
-    assert [s["instructions"] for s in read_manifest(out)["sessions"]] == ["SSE4_2"] * 2
+    assert read_manifest(out)["instructions"] == "SSE4_2"
 
 
 def test_resume_of_manifest_without_instruction_set_is_accepted(tmp_path: Path) -> None:
     """As one that names no version: it is older."""
     study, out = small_study(), tmp_path / "out"
     run.run_into(study, out)
-    sessions = read_manifest(out)["sessions"]
-    del sessions[0]["instructions"]
-    rewrite_manifest(out, sessions=sessions)
+    rewrite_manifest(out, instructions=None)
     run.run_into(study, out, resume=True)
-    assert read_manifest(out)["sessions"][1]["instructions"] == xla.instruction_set()
+    assert read_manifest(out)["instructions"] == xla.instruction_set()

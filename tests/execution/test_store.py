@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from matplotlib.figure import Figure
 from support.studies import PAPER, small_study
 from support.sweep_directories import (
     CHUNK_RUNS,
@@ -29,13 +30,13 @@ from support.sweep_directories import (
     sweep_study,
 )
 
+from sinsjax import plots
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import forecast, store, tables
+from sinsjax.execution import forecast, store
 from sinsjax.execution import run as study_run
-from sinsjax.execution.directory import register_figures
 from sinsjax.execution.prepare import RunOptions, prepare_job
-from sinsjax.execution.results import count_runs, read_curves, read_summary
+from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.execution.tasks import Job, TaskRunner
 from sinsjax.platform import files
@@ -158,18 +159,17 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
 }
 
 
-def mark_all_missing(directory: Path) -> None:
-    """Mark all chunks as missing in an otherwise intact manifest."""
-    chunks = read_manifest_entries(directory)["chunks"]
-    missing = [{"name": c["name"], "state": "missing", "runs": 1} for c in chunks]
-    rewrite_manifest(directory, chunks=missing)
+def edit_chunk_runs(path: Path) -> None:
+    path.write_text(path.read_text().replace(f'"chunk_runs": {CHUNK_RUNS}', '"chunk_runs": 256'))
 
 
 MANIFESTS: dict[str, Callable[[Path], Any]] = {
     "there": lambda directory: None,
     "deleted": lambda directory: (directory / "manifest.json").unlink(),
     "garbled": lambda directory: (directory / "manifest.json").write_text('{"schema": "1", "st'),
-    "denying": mark_all_missing,
+    "denying": lambda directory: rewrite_manifest(directory, runs_done=0),
+    "another's": lambda directory: (directory / "manifest.json").write_text("[" * 20_000),
+    "edited": lambda directory: edit_chunk_runs(directory / "manifest.json"),
 }
 
 
@@ -304,40 +304,7 @@ def test_other_study_is_refused_from_its_parts(out: Path) -> None:
     assert sweep(out, resume=True) == [chunk_name(0)]
 
 
-GARBLED = {
-    "half": None,
-    "another's": b'{"name": "a web page", "icons": []}',
-    "deep": b"[" * 20_000,
-    "odd chunks": b'{"fingerprint": "x", "identity": "x", "chunks": [{"state": []}]}',
-}
-
-
-@pytest.mark.parametrize("name", GARBLED)
-def test_garbled_manifest_requires_no_recomputation(
-    uninterrupted: Path, out: Path, name: str
-) -> None:
-    path = out / "manifest.json"
-    path.write_bytes(GARBLED[name] or path.read_bytes()[: path.stat().st_size // 2])
-    before = modification_times(out)
-    with pytest.raises(InputError, match="already contains results"):
-        sweep(out)
-    assert sweep(out, resume=True) == []
-    assert modification_times(out) == before
-    assert_complete(out, uninterrupted)
-
-
-@pytest.mark.parametrize("edited", ["-128", "256"])
-def test_edited_chunk_runs_in_manifest_are_recovered_from_parts(
-    uninterrupted: Path, out: Path, edited: str
-) -> None:
-    text = (out / "manifest.json").read_text()
-    text = text.replace(f'"chunk_runs": {CHUNK_RUNS}', f'"chunk_runs": {edited}')
-    (out / "manifest.json").write_text(text)
-    assert sweep(out, resume=True) == []
-    assert_complete(out, uninterrupted)
-
-
-@pytest.mark.parametrize("text", ["", "[study", "[study]\nduration_s = -1", "a = " + "[" * 20_000])
+@pytest.mark.parametrize("text", ["[study", "[study]\nduration_s = -1"])
 def test_garbled_study_file_is_restored_on_resume(
     uninterrupted: Path, out: Path, text: str
 ) -> None:
@@ -347,15 +314,10 @@ def test_garbled_study_file_is_restored_on_resume(
     assert (out / "study.toml").read_bytes() == (uninterrupted / "study.toml").read_bytes()
 
 
-def test_results_of_older_version_are_refused_by_its_name(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    (out / "summary").mkdir(parents=True)
-    pq.write_table(tables.pa.table({"run_id": [0]}), out / "summary" / "part-0000-000000.parquet")
-    fingerprint = store.fingerprint(STUDY)
-    told = {"schema": "1", "fingerprint": fingerprint, "versions": {"sinsjax": "0.5.0"}, "runs": 1}
-    (out / "manifest.json").write_text(json.dumps(told))
+def test_results_of_another_schema_are_refused_by_their_version(out: Path) -> None:
+    rewrite_manifest(out, schema="5", versions={"sinsjax": "3.0"})
     before = read_files_and_times(out)
-    with pytest.raises(InputError, match=r"results of sinsjax 0\.5\.0, .*schema 1.*--overwrite"):
+    with pytest.raises(InputError, match=r"results of sinsjax 3\.0, .*schema 5.*--overwrite"):
         sweep(out, resume=True)
     assert read_files_and_times(out) == before
     assert len(sweep(out, overwrite=True)) == CHUNKS
@@ -427,7 +389,7 @@ def test_another_record_or_reference_is_refused(
 
 
 def test_second_writer_of_directory_is_refused(out: Path) -> None:
-    held = store.DirectoryStore(TaskRunner(prepared(out, resume=True)))
+    held = store.DirectoryStore(prepared(out, resume=True), {})
     before = read_files_and_times(out)
     for options in ({"resume": True}, {"overwrite": True}):
         with pytest.raises(InputError, match="out: another process is writing there"):
@@ -443,9 +405,9 @@ def test_results_written_before_lock_are_not_lost(
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
     for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
         options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=True)
-        late = TaskRunner(prepare_job(study, options=options)._replace(directory=out))
+        late = prepare_job(study, options=options)._replace(directory=out)
         with pytest.raises(InputError, match="another process has just written there"):
-            store.DirectoryStore(late)
+            store.DirectoryStore(late, {})
     assert read_parts(out) == read_parts(uninterrupted)
 
 
@@ -456,13 +418,12 @@ def test_stale_temporary_files_are_removed_and_others_kept(uninterrupted: Path, 
         f"summary/.{chunk_name(1)}.parquet.79.tmp",
         f"curves/.{chunk_name(1)}.parquet.80.tmp",
         "figures/.misalignment.png.81.tmp",
-        "..figures.json.82.tmp",
     ]
     mine = [".notes.tmp", "notes.txt", "figures/mine.txt", ".manifest.json"]
     (out / "figures").mkdir()
     for name in left + mine:
         (out / name).write_bytes(b"PAR1")
-    assert count_runs(out) == CHUNKS * CHUNK_RUNS
+    assert read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
     assert sweep(out, resume=True) == []
     assert_complete_but(out, uninterrupted, mine)
     for name in left:
@@ -474,7 +435,6 @@ def test_stale_temporary_files_are_removed_and_others_kept(uninterrupted: Path, 
 def assert_complete_but(out: Path, uninterrupted: Path, mine: list[str]) -> None:
     assert {path.name for path in out.rglob(".*") if path.is_file()} == {
         ".lock",
-        ".writer",
         ".notes.tmp",
         ".manifest.json",
     }
@@ -499,10 +459,10 @@ def test_overwrite_keeps_user_files(uninterrupted: Path, out: Path) -> None:
     for name in mine:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(b"mine")
-    drawn = {"misalignment.png": b"drawn", "distribution.png": b"drawn"}
-    (out / "figures" / "distribution.png").write_bytes(b"drawn")
-    register_figures(drawn, out)  # one of which the person drew anew
-    assert count_runs(out) == CHUNKS * CHUNK_RUNS
+    drawn = plots.render_png(Figure(figsize=(1, 1)))
+    (out / "figures" / "distribution.png").write_bytes(drawn)
+    (out / ".figures.json").write_text("{}")  # of version 1.0
+    assert read_summary(out).num_rows == CHUNKS * CHUNK_RUNS
     assert sweep(out, resume=True) == []
     assert len(sweep(out, overwrite=True)) == CHUNKS
     assert all((out / name).read_bytes() == b"mine" for name in mine)
@@ -520,7 +480,7 @@ def test_overwrite_removes_all_previous_results(out: Path) -> None:
     study = sweep_study(study={"seed": 2, "curves": False, "draws": 24})
     assert len(sweep(out, study, overwrite=True)) == CHUNKS // 2
     assert not list(out.glob("curves/*")) and not list(out.glob("reruns/3/*"))
-    assert count_runs(out) == CHUNKS * CHUNK_RUNS // 2
+    assert read_summary(out).num_rows == CHUNKS * CHUNK_RUNS // 2
     assert read_curves(out).num_rows == 0
     assert_intact(out)
 
@@ -592,7 +552,6 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
         )
     told = read_manifest_entries(out)
     assert told["state"] == "interrupted"
-    assert len(told["chunks"]) == CHUNKS
     assert told["runs_done"] == len(made.done) * CHUNK_RUNS == seen[-1].done
     # Those that were under way are finished, two devices have three.
     assert chunks <= len(made.done) <= chunks + 3
@@ -647,7 +606,7 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
     }
     assert not list(out.rglob("*.tmp"))
     if any("summary" in name for name in there):
-        assert count_runs(out) == CHUNK_RUNS * sum("summary" in name for name in there)
+        assert read_summary(out).num_rows == CHUNK_RUNS * sum("summary" in name for name in there)
     before = {
         k: t for k, t in modification_times(out).items() if k.replace("curves", "summary") in there
     }
@@ -681,14 +640,10 @@ def test_manifest_records_study_identity_and_timing(uninterrupted: Path, out: Pa
         study_from_dict({k: v for k, v in told["study"].items() if v and k != "zips"}).axes
         == STUDY.axes
     )
-    assert all(chunk["seconds"] > 0 for chunk in told["chunks"])
+    assert told["wall_s"] > 0 and told["versions"]["numpy"] == np.__version__
     sweep(out, resume=True)
     again = read_manifest_entries(out)
-    assert [chunk["seconds"] for chunk in again["chunks"]] == [
-        chunk["seconds"] for chunk in told["chunks"]
-    ]
-    assert again["started_unix_s"] == told["started_unix_s"]
-    assert again["wall_s"] == pytest.approx(sum(s["wall_s"] for s in again["sessions"]), abs=0.01)
+    assert again["started_unix_s"] == told["started_unix_s"] and again["wall_s"] > told["wall_s"]
 
 
 def test_forecast_disk_space_is_near_actual_size(uninterrupted: Path) -> None:

@@ -9,7 +9,7 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.execution.frames import to_dataset
-from sinsjax.execution.study_results import Results
+from sinsjax.execution.results import Results
 
 pytestmark = pytest.mark.optimised(False)
 

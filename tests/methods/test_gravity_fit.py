@@ -1,6 +1,5 @@
 """The gravity fit against the information bound, a dense least squares, and the truth."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from support.synthetic_tables import synthetic_summary
 
 import sinsjax
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
 from sinsjax.methods.gravity_fit.noise import SensorNoise
 from sinsjax.report.attitude import attitude_verdict
@@ -160,7 +159,7 @@ def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
         (settled,) = results.summary.select([f"settle_{band}_truth_s"])
         times = {time for time in settled.to_pylist() if time is not None}
         assert len(times) > 1 and times <= refits
-    found = sweep_verdict(Source(Path("out"), given, "x.toml", results.summary))
+    found = sweep_verdict(Results(given, None, tables={"summary": results.summary}))
     texts = dict((fact.label, fact.text) for fact in found.facts)
     assert texts["Refits"] == (
         "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only"
@@ -182,7 +181,7 @@ def test_doubts_about_fits_are_cautions_of_every_verdict() -> None:
             for name, value in names.items()
         }
         summary = synthetic_summary(given, all_columns=True, **values)
-        source = Source(Path("out"), given, "x.toml", summary)
+        source = Results(given, None, tables={"summary": summary})
         return [fact.text for fact in verdict(source).facts if fact.is_caution]
 
     for verdict in (sweep_verdict, attitude_verdict):

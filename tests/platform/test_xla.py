@@ -1,4 +1,3 @@
-import json
 import os
 import re
 import subprocess
@@ -11,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sinsjax.platform import xla
-from sinsjax.platform.xla import ConfigurationWarning, XlaOption, merge_options, parse_flags
+from sinsjax.platform.xla import ConfigurationWarning, merge_options, parse_flags
 
-OPTIONS = xla._OPTIONS
-ALL = {option.name: option.value for option in OPTIONS}
+OPTIONS = xla._PLAIN | xla._EXTRA
 
 
 @pytest.fixture
@@ -25,9 +23,9 @@ def unset_flags(monkeypatch, tmp_path):
         monkeypatch.delenv(name)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(xla, "instruction_set", lambda: "NEON")
-    xla.refused_options.cache_clear()
+    xla.options_work.cache_clear()
     yield monkeypatch
-    xla.refused_options.cache_clear()
+    xla.options_work.cache_clear()
 
 
 @pytest.fixture
@@ -38,8 +36,8 @@ def no_process(monkeypatch):
     monkeypatch.setattr(subprocess, "run", refuse)
 
 
-PLAIN_NAMES = st.sampled_from([o.name for o in OPTIONS if not o.extra] + ["xla_a", "xla_b"])
-EXTRA_NAMES = st.sampled_from([o.name for o in OPTIONS if o.extra] + ["xla_c", "--llvm-d"])
+PLAIN_NAMES = st.sampled_from([*xla._PLAIN] + ["xla_a", "xla_b"])
+EXTRA_NAMES = st.sampled_from([*xla._EXTRA] + ["xla_c", "--llvm-d"])
 
 
 def items(names):
@@ -59,7 +57,7 @@ def user_flags(draw):
 @given(user_flags())
 def test_merge_options_keeps_user_values_and_adds_rest_once(flags):
     merged = merge_options(flags, OPTIONS)
-    assert parse_flags(merged) == ALL | parse_flags(flags)
+    assert parse_flags(merged) == OPTIONS | parse_flags(flags)
     assert merge_options(merged, OPTIONS) == merged
 
 
@@ -77,66 +75,51 @@ def test_apply_options_respects_opt_out(unset_flags, no_process):
     assert "XLA_FLAGS" not in os.environ
 
 
-def test_apply_warns_and_leaves_flag_file_unchanged(unset_flags, tmp_path):
-    file = tmp_path / "flags"
-    file.write_text(merge_options("", OPTIONS[1:]))
+def test_flag_file_is_read_and_left_unchanged_with_warning(unset_flags, tmp_path):
+    file, (first, *rest) = tmp_path / "flags", OPTIONS
+    file.write_text(merge_options("--xla_a=3", {name: OPTIONS[name] for name in rest}))
     unset_flags.setenv("XLA_FLAGS", str(file))
-    told = f"names the file {file}; add {merge_options('', OPTIONS[:1])} to it"
+    told = f"names the file {file}; add --{first}={OPTIONS[first]} ("
     with pytest.warns(ConfigurationWarning, match=re.escape(told)):
         xla.apply_options()
-    assert os.environ["XLA_FLAGS"] == xla.extended_flags() == str(file)
+    assert os.environ["XLA_FLAGS"] == str(file) and xla.current_options()["xla_a"] == "3"
     file.write_text(merge_options("", OPTIONS))
     xla.apply_options()
 
 
 @pytest.mark.nightly
-def test_unknown_jaxlib_is_tried_once_and_cached(unset_flags):
+@pytest.mark.parametrize("unknown", ["xla_no_such_flag", "--no-such-option"])
+def test_jaxlib_that_refuses_an_option_gets_none_after_one_trial(unset_flags, unknown):
     """XLA reports an unknown option when it starts, LLVM when it compiles."""
-    unknown = XlaOption("xla_no_such_flag", "1", extra=False), XlaOption("--no-such-option", "1")
-    unset_flags.setattr(xla, "_OPTIONS", (*unknown, *OPTIONS))
+    kind = "_EXTRA" if unknown.startswith("--") else "_PLAIN"
+    unset_flags.setattr(xla, kind, {unknown: "1"})
     unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
-    told = "99.0 does not know --xla_no_such_flag, --no-such-option"
-    with pytest.warns(ConfigurationWarning, match=told):
+    with pytest.warns(ConfigurationWarning, match="jaxlib 99.0 refuses them"):
         xla.apply_options()
-    assert parse_flags(os.environ["XLA_FLAGS"]) == ALL
-    xla.refused_options.cache_clear()
-    unset_flags.setattr(xla, "can_compile", lambda flags: pytest.fail("tried again"))
-    assert xla.refused_options("99.0") == {"xla_no_such_flag", "--no-such-option"}
+    assert not os.environ.get("XLA_FLAGS")
 
 
-def test_only_options_that_fail_alone_are_refused(unset_flags, tmp_path):
-    """The answer holds for these options only: other options are tried again."""
+@pytest.mark.parametrize("works", [True, False])
+def test_answer_of_trial_is_stored_for_these_options(unset_flags, works):
     tried = []
 
     def compiles(flags: str) -> bool:
         tried.append(flags)
-        return "region_analysis" not in flags
+        return works or not flags
 
-    unset_flags.setattr(xla, "can_compile", compiles)
-    refused = "xla_cpu_copy_insertion_use_region_analysis"
-    for options in (OPTIONS, OPTIONS, OPTIONS[1:]):
-        unset_flags.setattr(xla, "_OPTIONS", options)
-        xla.refused_options.cache_clear()
-        assert xla.refused_options("99.0") == {refused}
-    assert len(tried) == (2 + len(OPTIONS)) + (2 + len(OPTIONS) - 1)
-    assert len(json.loads((tmp_path / "sinsjax" / "xla_options.json").read_text())) == 2
+    unset_flags.setattr(xla, "_can_compile", compiles)
+    for extra in (xla._EXTRA, xla._EXTRA, {}):
+        unset_flags.setattr(xla, "_EXTRA", extra)
+        xla.options_work.cache_clear()
+        assert xla.options_work("99.0") == works
+    assert tried == ["", merge_options("", OPTIONS), "", merge_options("", xla._PLAIN)]
 
 
-def test_failed_trial_refuses_all_options_and_is_not_cached(unset_flags, tmp_path):
+def test_failed_trial_refuses_all_options_and_is_not_stored(unset_flags, tmp_path):
     unset_flags.setattr(sys, "executable", str(tmp_path / "missing"))
     unset_flags.setattr(xla, "_jaxlib_version", lambda: "99.0")
-    assert xla.refused_options("99.0") == ALL.keys()
-    assert xla.extended_flags() == ""
+    assert not xla.missing_options() and not xla.options_work("99.0")
     assert not list(tmp_path.rglob("*.json"))
-
-
-def test_flags_are_read_from_flag_file(unset_flags, tmp_path):
-    file = tmp_path / "flags"
-    file.write_text("--xla_cpu_max_isa=AVX2\n--xla_backend_extra_options=--force-vector-width=4\n")
-    unset_flags.setenv("XLA_FLAGS", str(file))
-    assert xla.current_options() == {"xla_cpu_max_isa": "AVX2", "--force-vector-width": "4"}
-    unset_flags.setenv("XLA_FLAGS", str(tmp_path / "missing"))
-    assert xla.current_options() == {}
 
 
 @pytest.mark.parametrize(
@@ -145,8 +128,8 @@ def test_flags_are_read_from_flag_file(unset_flags, tmp_path):
 )
 def test_loop_vector_width_follows_instruction_set(unset_flags, instructions, width):
     unset_flags.setattr(xla, "instruction_set", lambda: instructions)
-    set_ = {option.name: option.value for option in xla.required_options()}
-    assert set_.items() >= ALL.items()
+    set_ = xla.required_options()
+    assert set_.items() >= OPTIONS.items()
     assert set_.get("--force-vector-width") == width
     assert set_.get("--force-vector-interleave") == (width and "1")
 

@@ -93,6 +93,15 @@ def test_dead_gyro_that_hides_north_is_named_and_leaves_level():
     assert job.study.methods == ("level",)
 
 
+@pytest.mark.parametrize("trust", [False, True])
+def test_stated_unit_holds_and_biased_gyros_leave_level(trust):
+    """In deg/s these would nearly be Earth rate; trusted, they gave a roll of -7.8 deg for -2.3."""
+    biased = GYRO + np.radians(np.array([500, -800, 700]) / 3600)
+    job = prepare_job(study(trust=trust), record=make_record(biased))
+    assert job.study.methods == ("level",)
+    assert "hides Earth rate" in job.warnings[-1]
+
+
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
 def test_subtracted_mean_of_whole_log_is_reported(unit):
     """A sway that the log cuts short: over the part that is aligned the mean is not zero."""

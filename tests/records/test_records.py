@@ -439,29 +439,6 @@ def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
     assert not any("interpolate" in flaw.text for flaw in record.flaws)
 
 
-STAMPS = {
-    "s": lambda k: f"{1000 + k / 100:.2f}",
-    "ms": lambda k: f"{10 * k + 1_000_000}",
-    "us": lambda k: f"{10_000 * k + 10**9}",
-    "ns": lambda k: f"{10_000_000 * k + 10**12}",
-    "iso": lambda k: f"1970-01-01T00:16:{40 + k // 100:02d}.{k % 100:02d}0Z",
-}
-
-
-@pytest.mark.usefixtures("small_batches")
-@pytest.mark.parametrize("unit", STAMPS)
-def test_csv_time_units_with_semicolons_and_comments_are_read(tmp_path, unit):
-    rows = [f"{STAMPS[unit](k)};1;2;3;4;5;6" for k in range(1, 301)]
-    rows.insert(100, "# 2;a;comment")
-    text = "\n".join(["% made by hand", "time_s;gx;gy;gz;ax;ay;az", "#", *rows])
-    (tmp_path / "a.csv").write_text(text)
-    layout = CSV._replace(rate_hz=None, time_unit=unit)
-    record = read_whole(tmp_path / "a.csv", layout)
-    assert record.rate_hz == pytest.approx(100, rel=1e-6) and len(record.dv) == 300
-    assert record.t0_s == pytest.approx(1000, abs=1e-6)
-    np.testing.assert_array_equal(record.dv[99:101], [[4, 5, 6]] * 2)
-
-
 def test_parquet_dates_give_rate_and_start(tmp_path):
     stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
     columns = {name: np.ones(300) for name in GYRO + ACCEL}

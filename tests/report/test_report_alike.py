@@ -11,14 +11,14 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution import run as study_run
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.report import monte_carlo
 
 pytestmark = pytest.mark.optimised(False)
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+def source(tmp_path_factory: pytest.TempPathFactory) -> Results:
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0, 3.0]})
     directory = tmp_path_factory.mktemp("alike")
     whole = synthetic_summary(study)
@@ -26,10 +26,10 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     summary = whole.take(same.ravel())
     for name in ("run_id", "variant_id", "reset_cycle_s"):
         summary = summary.set_column(summary.column_names.index(name), name, whole[name])
-    return Source.read(store_results(directory, study, summary))
+    return Results.read(store_results(directory, study, summary))
 
 
-def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
+def test_variant_table_lists_duplicate_variants_once(source: Results) -> None:
     table = monte_carlo.statistics_table(source, ["reset_count", "reset_cycle_s"], "Every variant")
     assert [row[:3] for row in table.rows] == [
         ["0", "-", "3"],
@@ -39,7 +39,7 @@ def test_variant_table_lists_duplicate_variants_once(source: Source) -> None:
     ]
 
 
-def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> None:
+def test_verdict_and_shares_count_duplicate_variants_once(source: Results) -> None:
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     table = source.summary
     right = analysis.numeric_column(table, "reset_count") == 0
@@ -53,7 +53,7 @@ def test_verdict_and_shares_count_duplicate_variants_once(source: Source) -> Non
     }
     for name, values in columns.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
-    changed = Source(source.directory, source.study, source.config, table)
+    changed = Results(source.study, None, tables={"summary": table})
     found = monte_carlo.build_report(changed, with_tables=False)
     assert found.title == "study: 18 runs (12 distinct), none failed"
     assert found.facts[1].text.startswith("no reset: every run settles")
@@ -72,6 +72,6 @@ def test_report_draws_methods_with_and_without_covariance_together(tmp_path: Pat
         sensors={"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0},
     )
     study_run.run_into(study, tmp_path / "results")
-    report = monte_carlo.build_report(Source.read(tmp_path / "results"))
+    report = monte_carlo.build_report(Results.read(tmp_path / "results"))
     names = [picture.name for picture in report.pictures]
     assert {"misalignment", "misalignment_level", "consistency"} <= {*names}

@@ -11,7 +11,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.analysis.summaries import read_estimate
 from sinsjax.execution import run
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.report import axis_figures, monte_carlo
 from sinsjax.report.base import Picture, Table
 from sinsjax.report.grouping import bin_drawn_keys, bin_medians
@@ -27,7 +27,7 @@ DRAWN = {
 
 
 @pytest.fixture(scope="module")
-def drawn_source(tmp_path_factory: pytest.TempPathFactory) -> Source:
+def drawn_source(tmp_path_factory: pytest.TempPathFactory) -> Results:
     study = small_study(
         study=SHORT,
         alignment={"phi_u0_deg": None},
@@ -38,7 +38,7 @@ def drawn_source(tmp_path_factory: pytest.TempPathFactory) -> Source:
     )
     out = tmp_path_factory.mktemp("drawn") / "out"
     run.run_into(study, out)
-    return Source.read(out)
+    return Results.read(out)
 
 
 def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
@@ -55,7 +55,7 @@ def test_bins_have_equal_counts_and_few_values_stay_separate() -> None:
 
 
 @pytest.mark.nightly
-def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) -> None:
+def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Results) -> None:
     found = bin_drawn_keys(drawn_source)
     assert found.keys() == {"phi_u0_deg", "yaw_center_deg"}  # a vector has no order
     assert found["yaw_center_deg"][1] == (0.0, 90.0, 180.0)
@@ -76,7 +76,7 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Source) 
 
 
 @pytest.mark.nightly
-def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Source) -> None:
+def test_report_has_table_per_drawn_key_and_figure_if_it_acts(drawn_source: Results) -> None:
     *pictures, idle = axis_figures.build_axis_figures(drawn_source)
     assert [getattr(block, "name", "") for block in pictures] == ["along_axis", "over_phi_u0_deg"]
     assert idle == "No figure over yaw_center_deg: no effect beyond the intervals."
@@ -96,7 +96,7 @@ def test_list_valued_axis_is_plotted_as_categories(tmp_path: Path) -> None:
     times = [[], [0.5], [0.5, 1.0]]
     study = small_study(study=SHORT | {"draws": 4}, axes={"reset_times_s": times})
     assert axis_figures.figure_axes(study) == ({"reset_times_s": ((), (0.5,), (0.5, 1.0))}, [])
-    source = Source.read(store_results(tmp_path, study, synthetic_summary(study)))
+    source = Results.read(store_results(tmp_path, study, synthetic_summary(study)))
     (figure,) = axis_figures.build_axis_figures(source)
     axes = figure.figure.axes[-1]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]

@@ -1,7 +1,6 @@
 import base64
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +11,7 @@ from support.studies import small_study
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.report import base, monte_carlo
 from sinsjax.report.output import DrawnReport, write_html_page
 
@@ -52,7 +51,7 @@ def drawn_report(*blocks, headline=("Found: *much*",), name="swing"):
     facts = [base.Fact("Best", text) for text in headline]
     report = base.Report("title", facts, None, blocks)
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return DrawnReport(Source(Path("results"), study, f"{name}.toml", table), report, images)
+    return DrawnReport(Results(study, None, tables={"summary": table}), report, images)
 
 
 def html_page(tmp_path, *parts, title="Title"):
@@ -99,7 +98,7 @@ def test_html_page_escapes_markup_in_text(tmp_path):
     assert sum(path[-1] == "img" for path in read.seen) == 1
     said = "".join(read.text)
     assert said.count(nasty) == 7 and "<i>& so" in said
-    assert "a<b.toml; computed by sinsjax " in said and "configs/" not in said
+    assert "study.toml of a<b; computed by sinsjax " in said and "configs/" not in said
 
 
 def test_unwritable_html_page_raises_input_error(tmp_path):
@@ -114,7 +113,7 @@ def test_html_page_of_results_has_all_tables_and_figures_without_full(tmp_path):
     page = tmp_path / "page.html"
     printed = report_text(directory, html=page, full=False)
     text = Reader(page.read_text()).text
-    blocks = monte_carlo.build_report(Source.read(directory)).blocks
+    blocks = monte_carlo.build_report(Results.read(directory)).blocks
     titles = [block.title for block in blocks if isinstance(block, base.Table)]
     assert titles and all(title in "".join(text) for title in titles)
     assert not any(title in printed for title in titles)

@@ -1,6 +1,5 @@
 """Reports on methods that find no heading, alone and next to others."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,7 @@ import pytest
 from support.studies import STILL, small_study
 
 from sinsjax.execution import run
-from sinsjax.execution.results import read_summary
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.tables import replace_column
 from sinsjax.report import level, monte_carlo
 from sinsjax.report.base import Table
@@ -18,7 +16,7 @@ from sinsjax.report.base import Table
 pytestmark = pytest.mark.optimised(False)
 
 
-def run_methods(out: Path, methods: list[str], **tables: Any) -> Source:
+def run_methods(out: Path, methods: list[str], **tables: Any) -> Results:
     study = small_study(
         study={"curves": True, "report_times_s": [3.0]},
         motion=STILL,
@@ -26,7 +24,7 @@ def run_methods(out: Path, methods: list[str], **tables: Any) -> Source:
         **tables,
     )
     run.run_into(study, out)
-    return Source.read(out)
+    return Results.read(out)
 
 
 def test_study_of_level_alone_reports_pitch_and_roll(tmp_path: Path) -> None:
@@ -64,5 +62,5 @@ def test_run_that_is_not_finite_has_no_level(tmp_path: Path) -> None:
     table = read_summary(tmp_path / "out")
     for name in ("pitch_deg", "roll_deg"):
         table = replace_column(table, name, pa.nulls(table.num_rows))
-    (fact, *_) = level.level_verdict(replace(source, table=table)).facts
+    (fact, *_) = level.level_verdict(source.with_summary(table)).facts
     assert fact.is_caution and fact.text == "unknown, the run is not finite"

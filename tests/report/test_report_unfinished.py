@@ -15,8 +15,8 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import report
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import run
+from sinsjax.execution.results import Results
 from sinsjax.execution.run import RunProgress
-from sinsjax.execution.source import Source
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -66,9 +66,9 @@ def test_unfinished_report_warns_with_share_of_runs(
     out = store(tmp_path / "out", axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
     page = tmp_path / "page.html"
     lines = [line for line in printed_lines(out, page) if line]
-    source = Source.read(out, unfinished=True)
+    source = Results.read(out, whole_draws=True)
     whole = source.draws
-    there = Source.read(out).runs
+    there = Results.read(out).runs
     assert 0 < whole < 300 and whole == there // 3
     assert source.rows(["draw_id"])["draw_id"].to_numpy().tolist() == [
         draw for draw in range(whole) for _ in range(3)
@@ -79,7 +79,7 @@ def test_unfinished_report_warns_with_share_of_runs(
     assert f"{share}; shown are the {whole} draws" in warning
     assert f"<strong>Warning:</strong> {share}" in page.read_text()
     with pytest.raises(InputError, match="continue with `--resume`"):
-        _ = Source.read(out).draws
+        _ = Results.read(out).draws
 
 
 @pytest.mark.nightly

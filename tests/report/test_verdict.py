@@ -10,7 +10,7 @@ from support.studies import small_study
 from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.report.base import Report
 from sinsjax.report.choices import Choices, best_option
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
@@ -41,7 +41,7 @@ def verdict_from_times(study: Study, settle_s: np.ndarray) -> Report:
     names = ("settle_10_s", "settle_10_truth_s")
     columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
     summary = synthetic_summary(study, status=status, **columns)
-    return sweep_verdict(Source(Path("out"), study, "x.toml", summary))
+    return sweep_verdict(Results(study, None, tables={"summary": summary}))
 
 
 # --- the choice -----------------------------------------------------------------------------
@@ -132,17 +132,19 @@ def test_runs_that_never_settle_limit_the_accuracy() -> None:
         phi_u_arcmin=np.where(never, 500.0, 5.0),
         floor_arcmin=np.full(16, 4.0),
     )
-    source = Source(Path("out"), study, "x.toml", summary)
+    source = Results(study, None, tables={"summary": summary})
     assert "mostly of runs that never settle" in facts_by_label(sweep_verdict(source))["Accuracy"]
     near = synthetic_summary(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
-    found = facts_by_label(sweep_verdict(Source(Path("out"), study, "x.toml", near)))["Accuracy"]
+    found = facts_by_label(sweep_verdict(Results(study, None, tables={"summary": near})))[
+        "Accuracy"
+    ]
     assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
 
 
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*told,) = process_noise_caution(Source(Path("out"), study, "x.toml"))
+    (*told,) = process_noise_caution(Results(study, None))
     assert bool(told) == cautions
     if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
         assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_caution
@@ -152,7 +154,7 @@ def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
     flags = [True] * 15 + [None]
     summary = synthetic_summary(study, ok_floor=flags)
-    found = sweep_verdict(Source(Path("out"), study, "x.toml", summary))
+    found = sweep_verdict(Results(study, None, tables={"summary": summary}))
     assert "of true north" in facts_by_label(found)["Success"]
 
 
@@ -178,7 +180,9 @@ def test_numbers_of_the_best_are_its_own_and_equals_are_not_told_apart() -> None
 def test_band_out_of_reach_is_the_first_line() -> None:
     noisy = {"gyro_arw_deg_per_sqrt_h": 1.0, "gyro_noise_deg_per_h": None}
     study = small_study(study={"draws": 8}, sensors=noisy)
-    source = Source(Path("out"), study, "x.toml", synthetic_summary(study))
+    source = Results(
+        study, None, tables={"summary": synthetic_summary(study)}, directory=Path("out")
+    )
     first, *_ = sweep_verdict(source, warnings_shown=True).facts
     assert first.is_caution and "cannot be reached" in first.text and "e.g. " in first.text
 

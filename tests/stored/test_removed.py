@@ -10,7 +10,7 @@ import sinsjax
 from sinsjax import gone
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.source import Source
+from sinsjax.execution.results import Results
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history
 
@@ -56,7 +56,7 @@ def test_report_on_a_removed_trigger_says_what_still_reads_the_rows(tmp_path: Pa
     changed = text.replace("[resets]\n", '[resets]\nreset_trigger = "nis"\n')
     (out / "study.toml").write_text(changed)
     with pytest.raises(InputError) as caught:
-        Source.read(out)
+        Results.read(out)
     (line,) = caught.value.lines
     assert "'nis'" in line and gone.MARK in line and "read_summary" in line
     assert len(sinsjax.read_summary(out))

@@ -8,6 +8,7 @@ from typing import Any
 from unittest import mock
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 from rich.console import Console
 
 from sinsjax import report
@@ -32,10 +33,7 @@ def write_part(path: Path, table: pa.Table, identity: str) -> None:
 
 def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
     """Write a sealed manifest of the existing parts; ``entries`` replace some entries."""
-    chunks: dict[str, list[dict[str, Any]]] = {}
-    for path in sorted(directory.glob("*/part-*.parquet")):
-        file = {"file": f"{path.parent.name}/{path.name}", "rows": 0}
-        chunks.setdefault(path.stem, []).append(file)
+    parts = directory.glob("summary/part-*.parquet")
     defaults = {
         "schema": SCHEMA_VERSION,
         "config": f"{study.name}.toml",
@@ -44,10 +42,7 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
         "curves": None,
         "chunk_runs": None,
         "study": sections_to_json(study),
-        "chunks": [
-            {"name": name, "state": "done", "runs": 0, "files": files}
-            for name, files in chunks.items()
-        ],
+        "runs_done": sum(pq.read_metadata(path).num_rows for path in parts),
     }
     (directory / MANIFEST).write_bytes(to_sealed_json(defaults | entries))
 

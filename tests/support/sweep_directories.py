@@ -105,15 +105,9 @@ def read_manifest_entries(directory: Path) -> dict[str, Any]:
 
 
 def assert_intact(directory: Path) -> None:
-    """Assert that the manifest and all parts are intact, and that it lists exactly these parts."""
+    """Assert that the manifest and all parts match their seals."""
     assert is_intact((directory / "manifest.json").read_bytes())
-    listed = {
-        file["file"]
-        for chunk in read_manifest_entries(directory)["chunks"]
-        for file in chunk["files"]
-    }
-    stored = read_parts(directory)
-    assert listed == stored.keys() and all(map(is_intact, stored.values()))
+    assert all(map(is_intact, read_parts(directory).values()))
 
 
 def rewrite_manifest(directory: Path, **changes: Any) -> None:
@@ -129,10 +123,7 @@ def assert_complete(directory: Path, reference: Path) -> None:
     assert_intact(directory)
     entries = read_manifest_entries(directory)
     assert entries["state"] == "complete"
-    assert {chunk["state"] for chunk in entries["chunks"]} == {"done"}
-    assert (
-        entries["runs_done"] == entries["runs"] == sum(chunk["runs"] for chunk in entries["chunks"])
-    )
+    assert entries["runs_done"] == entries["runs"]
     assert not list(directory.rglob("*.tmp"))
 
 
