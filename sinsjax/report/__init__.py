@@ -67,13 +67,14 @@ def _print_reports(
     if html is not None:
         require_writable(html, "--html")
     reports = []
+    source: Results
     for directory in directories:
         if is_tuning(directory):
             from sinsjax.report import tuning  # late: it needs JAX
-            from sinsjax.tuning import results
+            from sinsjax.tuning.results import Tuning
 
-            source = results.read_evaluation(directory)
-            report = tuning.build_report(source)
+            source = found = Tuning.read(directory)
+            report = tuning.build_report(found)
         else:
             source = Results.read(directory, whole_draws=True)
             report = monte_carlo.build_report(

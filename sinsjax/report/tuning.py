@@ -9,7 +9,6 @@ import numpy as np
 
 from sinsjax.analysis import NO_INTERVAL, UNKNOWN, Estimate, format_estimate
 from sinsjax.analysis.formats import format_percent
-from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
@@ -25,36 +24,31 @@ DOUBLE_RESET_S = 1.0
 """Resets closer than this are printed as a double reset, s."""
 
 
-def build_report(source: Results) -> Report:
-    """Return the candidates on the unused draws, and how the searches found them.
-
-    Raises:
-        InputError: a file of the tuning cannot be read.
-    """
-    tuning = Tuning.from_source(source)
+def build_report(tuning: Tuning) -> Report:
+    """Return the candidates on the unused draws, and how the searches found them."""
     pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
     variants = tuning.run_values.shape[1]
     variants_text = f" × {variants} variants" if variants > 1 else ""
     return Report(
-        f"{tuning.study.name}: tuned by"
+        f"{tuning.search_study.name}: tuned by"
         f" {_join_with_and([SEARCH_LABELS.get(name, name) for name in tuning.searches])}",
         _tuning_facts(tuning),
         _candidate_summary_table(tuning),
         [_candidate_table(tuning), *pictures],
-        f"{tuning.study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
+        f"{tuning.search_study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
     )
 
 
 def _describe_tuning_draws(tuning: Tuning) -> str:
     """The draws that tuned, in words."""
-    if record := tuning.study.record:
+    if record := tuning.search_study.record:
         return f"{len(record.start_s[::2])} start times"
     return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
 def _tuning_facts(tuning: Tuning) -> list[Fact]:
     """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
-    study, best = tuning.study, tuning.best
+    study, best = tuning.search_study, tuning.best
     count = sum(len(result.evaluations) for result in tuning.searches.values())
     unit = "start time" if study.is_recorded else "draw"
     name, in_unit = describe_objective(study)[0], partial(_format_objective, tuning)
@@ -92,7 +86,7 @@ def _settled_fact(tuning: Tuning) -> Iterator[Fact]:
     shares = [tuning.settled_share(name) for name in (tuning.best, "baseline")]
     best, start = (format_percent(found) if found else "" for found in shares)
     if any(found and found.value < 1 for found in shares):
-        lengths_s = np.unique(tuning.evaluation_study.spans_s[:, 0])
+        lengths_s = np.unique(tuning.study.spans_s[:, 0])
         length = f"{lengths_s[0]:g} s" if len(lengths_s) == 1 else "the length of the run"
         text = f"{best} % of the runs, start {start} %; never counts as {length}"
         yield Fact("Settled", text)
@@ -112,7 +106,7 @@ def _law_fact(tuning: Tuning) -> Iterator[Fact]:
 def _describe_candidate(tuning: Tuning, name: str) -> str:
     """The values of a candidate in words."""
     bounds = tuning.values_on_bounds.get(name, ())
-    case = tuning.evaluation_study.cases[tuning.case_numbers[name]]
+    case = tuning.study.cases[tuning.case_numbers[name]]
     return ", ".join(
         format_setting(key, _format_candidate_value(value, bounds, key))
         for key, value in case.items()
@@ -151,17 +145,17 @@ def _caution_facts(tuning: Tuning, gain: Estimate) -> Iterator[Fact]:
         for evaluation in result.evaluations
         if evaluation.sharpness is None
     ]
-    if min(scores) >= objective.failure_score(tuning.tune, tuning.study):
-        judged = success_measures(tuning.study, tuning.tune.objective_band_arcmin)[0]
+    if min(scores) >= objective.failure_score(tuning.tune, tuning.search_study):
+        judged = success_measures(tuning.search_study, tuning.tune.objective_band_arcmin)[0]
         text = (
             f"every point fails: no run of any point keeps its heading {judged.description}, so the"
             " objective is the same everywhere. Widen `objective_band_arcmin`, lengthen the runs"
         )
         text += ", or judge from the bias floor (`judged_from`)" if judged.truth else ""
         yield Fact("Caution", text, True)
-    elif not gain.high < 0 and not tuning.study.is_recorded:
+    elif not gain.high < 0 and not tuning.search_study.is_recorded:
         yield Fact("Caution", "not significantly better than the start", True)
-    if tuning.study.is_recorded:
+    if tuning.search_study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
     ends = [
         f"{v.name} = {format_value(value)}"
@@ -210,7 +204,7 @@ def _format_percent(share: float) -> str:
 
 def _format_objective(tuning: Tuning, estimate: Estimate) -> str:
     digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
-    return format_estimate(estimate, describe_objective(tuning.study)[1], digits)
+    return format_estimate(estimate, describe_objective(tuning.search_study)[1], digits)
 
 
 def _candidate_table(tuning: Tuning) -> Table:
@@ -225,7 +219,7 @@ def _candidate_table(tuning: Tuning) -> Table:
         return _format_percent(costs[name] / costs[rival]) if known else "-"
 
     def cell(key: str, name: str) -> str:
-        value = tuning.evaluation_study.cases[tuning.case_numbers[name]][key]
+        value = tuning.study.cases[tuning.case_numbers[name]][key]
         return _format_candidate_value(value, bounds.get(name, ()), key)
 
     def tuning_score(name: str) -> str:
@@ -238,7 +232,7 @@ def _candidate_table(tuning: Tuning) -> Table:
 
     cells: list[tuple[str, Callable[[str], str]]] = [
         (
-            describe_objective(tuning.study)[0],
+            describe_objective(tuning.search_study)[0],
             lambda name: _format_objective(tuning, tuning.score(name)),
         ),
         ("on the tuning draws", tuning_score),
@@ -246,12 +240,12 @@ def _candidate_table(tuning: Tuning) -> Table:
         (f"less that of '{rival}'", difference_to_rival),
         ("cost (10^6 steps)", lambda name: f"{costs[name] / 1e6:,.4g}" if name in costs else "-"),
         (f"of that of '{rival}'", share),
-        *((key, partial(cell, key)) for key in tuning.evaluation_study.cases[0] if key != "case"),
+        *((key, partial(cell, key)) for key in tuning.study.cases[0] if key != "case"),
     ]
     rows = [
         [name, *(format_cell(name) for _, format_cell in cells)] for name in tuning.case_numbers
     ]
-    recorded = tuning.study.is_recorded
+    recorded = tuning.search_study.is_recorded
     note = (
         "On draws that tuned nothing, the same for all; 'on the tuning draws': the score that the"
         " search minimised."

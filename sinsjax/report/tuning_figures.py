@@ -22,7 +22,7 @@ from sinsjax.tuning.run_tuning import LAW
 
 def landscape_pictures(tuning: Tuning) -> list[Picture]:
     """Return the descents over the points of a search, for the best combination of candidates."""
-    space = SearchSpace.from_study(tuning.study)
+    space = SearchSpace.from_study(tuning.search_study)
     number = tuning.searches[tuning.best].best.candidate
     combination = space.combinations[number]
     used = space.used_variables(combination)
@@ -38,12 +38,12 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
         np.array([e.values for e in evaluations])[:, used],
         np.array([e.objective for e in evaluations]),
         (points,) * len(used) if name == "grid" else None,
-        objective_label(tuning.study),
+        objective_label(tuning.search_study),
     )
     ways = [DescentPath(values[:, used], found) for values, found in tuning.descents(number)]
     spots = _best_points(tuning, number, used)
     for other in (name for name in (LAW, "baseline") if name in tuning.case_numbers):
-        case = tuning.evaluation_study.cases[tuning.case_numbers[other]]
+        case = tuning.study.cases[tuning.case_numbers[other]]
         if (values := space.locate(case, combination)) is not None:
             style = MARKER_ORDER.index(other)
             spots.insert(0, MarkedPoint(SEARCH_LABELS[other], np.array(values), None, style))
@@ -110,6 +110,6 @@ def cost_pictures(tuning: Tuning) -> list[Picture]:
         Picture(
             "history",
             f"{caption}.",
-            draw_best_by_cost(searches, objective_label(tuning.study), title),
+            draw_best_by_cost(searches, objective_label(tuning.search_study), title),
         )
     ]

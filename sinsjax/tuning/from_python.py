@@ -11,11 +11,10 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import load_study
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
-from sinsjax.tuning.run_tuning import LAW, TUNED, prepare_tuning, run_tuning
+from sinsjax.tuning.run_tuning import LAW, prepare_tuning, run_tuning
 from sinsjax.tuning.search import Watch
 
 
@@ -38,19 +37,19 @@ class TuningResults:
 
     directory: Path
 
-    @cached_property
+    @property
     def study(self) -> Study:
         """The study with the best point and without [tune], as in ``tuned.toml``.
 
         Its seed is new, so that its draws neither tuned nor evaluated.
         """
-        return load_study(self.directory / TUNED)
+        return self._tuning.tuned
 
     @cached_property
     def best(self) -> TomlTable:
         """The best point on the tuning draws: values by key, in the units of the file."""
         found = self._tuning.searches[self._tuning.best]
-        return copy_tables(found.point(SearchSpace.from_study(self._tuning.study)))
+        return copy_tables(found.point(SearchSpace.from_study(self._tuning.search_study)))
 
     @property
     def search(self) -> str:
@@ -60,7 +59,7 @@ class TuningResults:
     @property
     def objective(self) -> str:
         """The minimised quantity, with its unit."""
-        return results.objective_label(self._tuning.study)
+        return results.objective_label(self._tuning.search_study)
 
     @cached_property
     def score(self) -> Estimate:
@@ -80,15 +79,15 @@ class TuningResults:
 
     @cached_property
     def _tuning(self) -> results.Tuning:
-        return results.Tuning.from_source(results.read_evaluation(self.directory))
+        return results.Tuning.read(self.directory)
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
-        return display.format_text(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_text(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
     def _repr_html_(self) -> str:
         """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Tuning of {self._tuning.study.name}", self._facts())
+        return display.format_html(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""

@@ -245,36 +245,29 @@ def load_tuned_study(directory: Path) -> Study:
         InputError: it cannot be read, or is not the study of the history.
     """
     remedy = "(delete it: `sinsjax tune --resume` writes it again)"
-    tuned = read_study(directory)
+    path, stored = directory / STUDY, load_stored_study(directory)
     try:
-        study = load_study(directory / STUDY)
+        study = load_study(path)
     except InputError as error:
-        raise InputError(f"{error} {remedy}" if tuned else str(error)) from None
-    if tuned is not None and study_to_toml(tuned) != study_to_toml(study):
-        differing = "; ".join(describe_differences(tuned, study, ("in the history", "in the file")))
-        path = directory / STUDY
-        raise InputError(f"{path}: is not the study of the history: {differing} {remedy}")
+        raise InputError(f"{error} {remedy}" if stored else str(error)) from None
+    if stored is not None and study_to_toml(stored) != study_to_toml(study):
+        differing = describe_differences(stored, study, ("in the history", "in the file"))
+        text = f"is not the study of the history: {'; '.join(differing)}"
+        raise InputError(f"{path}: {text} {remedy}")
     return study
 
 
 def load_stored_study(directory: Path) -> Study | None:
     """Return the study of a tuning run, from its history or else its file; None without one."""
-    if (study := read_study(directory)) is not None:
-        return study
+    text = _study_text(directory)
     try:
-        study = load_study(directory / STUDY)
-    except InputError:
-        return None
-    return study if study.tune else None
-
-
-def read_study(directory: Path) -> Study | None:
-    """Return the study that a history tunes; None if there is no intact history."""
-    try:
-        text = _study_text(directory)
-        return None if text is None else study_from_dict(tomllib.loads(text), str(directory / FILE))
+        if text is None:
+            study = load_study(directory / STUDY)
+        else:
+            study = study_from_dict(tomllib.loads(text), str(directory / FILE))
     except (InputError, ValueError, RecursionError):
         return None
+    return study if study.tune else None
 
 
 def _study_text(directory: Path) -> str | None:

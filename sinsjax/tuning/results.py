@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -13,13 +12,23 @@ from sinsjax.analysis import Estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
+from sinsjax.messages import to_one_line
+from sinsjax.study.identity import describe_differences, fingerprint
+from sinsjax.study.load import load_study
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult, load_tuned_study
-from sinsjax.tuning.run_tuning import EVALUATION, GRADIENT, LAW, require_tune
+from sinsjax.tuning.run_tuning import (
+    EVALUATION,
+    GRADIENT,
+    LAW,
+    TUNED,
+    make_tuned_study,
+    require_tune,
+)
 
 SEARCH_LABELS = {
     "grid": "grid",
@@ -38,74 +47,73 @@ _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
 
 
-def read_evaluation(directory: Path) -> Results:
-    """Read the evaluation of a complete tuning run, with the directory of the whole run.
+class Tuning(Results):
+    """A complete tuning run: the results of its evaluation on unused draws, and its searches.
 
-    Raises:
-        InputError: it is not complete, or cannot be read.
-    """
-    if not (directory / EVALUATION / "summary").is_dir():
-        raise _incomplete_error(directory)
-    evaluation = Results.read(directory / EVALUATION)
-    assert evaluation.draws  # checks that no run is missing
-    evaluation.directory = directory
-    return evaluation
-
-
-def _incomplete_error(directory: Path) -> InputError:
-    remedy = "`sinsjax tune --resume` continues it"
-    return InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """A complete tuning run.
+    The cases of the study of these results are the candidates: the best point of each search, the
+    baseline and, where resets are tuned, the law's schedule.
 
     Attributes:
-        study: study with [tune].
-        evaluation_study: study of the evaluation; its cases are the candidates, that is the best
-            point of each search, the baseline and, where resets are tuned, the law's schedule.
-        source: results of the evaluation.
+        search_study: study with [tune].
         searches: result of each search, by its name.
+        tuned: the study with the best point and without [tune], as in ``tuned.toml``.
     """
 
-    study: Study
-    evaluation_study: Study
-    source: Results
+    search_study: Study
     searches: dict[str, SearchResult]
+    tuned: Study
 
     @classmethod
-    def from_source(cls, source: Results) -> "Tuning":
-        """Read a completed tuning run.
+    def read(cls, directory: str | Path, *, whole_draws: bool = False) -> "Tuning":
+        """Read a tuning run.
+
+        Args:
+            directory: directory of the tuning run.
+            whole_draws: has no effect, since an unfinished evaluation is refused.
 
         Raises:
-            InputError: a search is missing: the evaluation is that of an earlier tuning run.
+            InputError: it is not complete, cannot be read, or ``study.toml`` or ``tuned.toml`` has
+                changed since.
         """
-        assert source.directory is not None
-        study = load_tuned_study(source.directory)
-        searches = history.read_searches(source.directory, SearchSpace.from_study(study))
-        by_name = {result.search.replace("_", " "): result for result in searches}
-        tuning = cls(study, source.study, source, by_name)
-        if not by_name or tuning.case_numbers.keys() - {"baseline", LAW, *by_name}:
-            raise _incomplete_error(source.directory)
+        directory = Path(directory)
+        if not (directory / EVALUATION / "summary").is_dir() or not (directory / TUNED).exists():
+            raise _incomplete_error(directory)
+        tuning = super().read(directory / EVALUATION)
+        assert isinstance(tuning, cls) and tuning.draws  # checks that no run is missing
+        tuning.directory, study = directory, load_tuned_study(directory)
+        space = SearchSpace.from_study(study)
+        searches = history.read_searches(directory, space)
+        tuning.search_study = study
+        tuning.searches = {result.search.replace("_", " "): result for result in searches}
+        if not searches or tuning.case_numbers.keys() - {"baseline", LAW, *tuning.searches}:
+            raise _incomplete_error(directory)  # the evaluation is that of an earlier tuning run
+        tuning.tuned = load_study(directory / TUNED)
+        best = make_tuned_study(study, tuning.searches[tuning.best].point(space))
+        if fingerprint(tuning.tuned) != fingerprint(best):
+            named = ("in the tuning", "in the file")
+            differing = to_one_line("; ".join(describe_differences(best, tuning.tuned, named)))
+            raise InputError(
+                f"{directory / TUNED}: has changed since the tuning: {differing} (move it away:"
+                " `sinsjax tune --resume` writes it again)"
+            )
         return tuning
 
     @property
     def tune(self) -> TuneSection:
         """The section [tune]."""
-        return require_tune(self.study)
+        return require_tune(self.search_study)
 
     @cached_property
     def case_numbers(self) -> dict[str, int]:
         """Number of the case of each candidate; equal candidates share one."""
-        labels = [case["case"] for case in self.evaluation_study.cases]
+        labels = [case["case"] for case in self.study.cases]
         return {name: i for i, label in enumerate(labels) for name in label.split(", ")}
 
     @cached_property
     def run_values(self) -> NDArray:
         """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
-        table = self.source.rows(objective.summary_columns(self.tune, self.study))
-        return search.point_values(self.study, self.evaluation_study, table)
+        table = self.rows(objective.summary_columns(self.tune, self.search_study))
+        return search.point_values(self.search_study, self.study, table)
 
     @cached_property
     def unsettled(self) -> NDArray | None:
@@ -113,9 +121,9 @@ class Tuning:
         if not self.tune.objective.startswith("settle_"):
             return None
         never = self.tune.model_copy(update={"objective": "failure_rate"})
-        study = self.study.model_copy(update={"tune": never})
-        table = self.source.rows(objective.summary_columns(never, study))
-        return search.point_values(study, self.evaluation_study, table) > 0
+        study = self.search_study.model_copy(update={"tune": never})
+        table = self.rows(objective.summary_columns(never, study))
+        return search.point_values(study, self.study, table) > 0
 
     def settled_share(self, name: str) -> Estimate | None:
         """Return the share of a candidate's runs on the unused draws that settle.
@@ -125,7 +133,7 @@ class Tuning:
         if self.unsettled is None:
             return None
         settled = ~self.unsettled[self.case_numbers[name]]
-        draws = np.zeros if self.study.is_recorded else np.arange
+        draws = np.zeros if self.search_study.is_recorded else np.arange
         clusters = np.tile(draws(settled.shape[1]).astype(int), len(settled))
         return share(settled.ravel(), clusters)
 
@@ -136,7 +144,7 @@ class Tuning:
     @property
     def values_on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
         """Variables at an end of their range in each search's best point, with their values."""
-        space = SearchSpace.from_study(self.study)
+        space = SearchSpace.from_study(self.search_study)
         on_bounds = {}
         for name, result in self.searches.items():
             best = result.best
@@ -190,12 +198,17 @@ class Tuning:
     def _estimate(self, score: Callable[[NDArray], float], draws: int) -> Estimate:
         """Return a score with its bootstrap interval over the draws; none on a record."""
         every = np.arange(draws)
-        if self.study.is_recorded:
+        if self.search_study.is_recorded:
             return Estimate(score(every), math.nan, math.nan, draws)
         low, high = bootstrap_interval(
             lambda picks: np.array([score(pick) for pick in picks]), every
         )
         return Estimate(score(every), low, high, draws)
+
+
+def _incomplete_error(directory: Path) -> InputError:
+    remedy = "`sinsjax tune --resume` continues it"
+    return InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
 
 
 def describe_objective(study: Study) -> tuple[str, str]:

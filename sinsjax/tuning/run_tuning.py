@@ -108,17 +108,20 @@ def _search_and_evaluate(study: Study, session: SearchSession) -> None:
         history.write_history(directory, study, results)
     best = min(results, key=lambda result: result.best.objective)
     _evaluate_best_points(study, space, results, best.best.candidate, session)
+    tuned = make_tuned_study(study, best.point(space))
+    text = (
+        "" if study.is_recorded else "# The seed is new: its draws neither tuned nor evaluated.\n"
+    )
     with atomic_write(directory / TUNED) as file:
-        file.write(_tuned_text(study, best.point(space)).encode())
+        file.write(f"{text}{study_to_toml(tuned)}".encode())
 
 
-def _tuned_text(study: Study, point: TomlTable) -> str:
-    """Return the content of ``tuned.toml``: the study with a point, on draws not used so far."""
+def make_tuned_study(study: Study, point: TomlTable) -> Study:
+    """Return the study of ``tuned.toml``: with a point, on draws not used so far."""
     tuned = with_point(study, point)
     if study.is_recorded:
-        return study_to_toml(tuned)
-    tuned = tuned.replace({"study.seed": search.unused_seed(study)})
-    return f"# The seed is new: its draws neither tuned nor evaluated.\n{study_to_toml(tuned)}"
+        return tuned
+    return tuned.replace({"study.seed": search.unused_seed(study)})
 
 
 def require_tune(study: Study) -> TuneSection:

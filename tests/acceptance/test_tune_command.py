@@ -20,7 +20,7 @@ from support.sweep_directories import read_files_and_times
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyInterrupted, StudyWarning
 from sinsjax.execution.directory import lock_directory, read_manifest
-from sinsjax.execution.results import read_summary
+from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.run import run as run_study
 from sinsjax.execution.tasks import Job
@@ -34,7 +34,6 @@ from sinsjax.tuning import (
     gradient,
     history,
     objective,
-    results,
     run_tuning,
     search,
 )
@@ -202,8 +201,43 @@ def test_report_refuses_evaluation_with_missing_runs(made: Path, tmp_path: Path)
         report_text(out)
 
 
+def test_edited_tuned_study_is_named(made: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "out"))
+    text = (out / "tuned.toml").read_text()
+    (out / "tuned.toml").write_text(text.replace("p0_level_deg = 15.0", "p0_level_deg = 16.0"))
+    line = r"tuned.toml: has changed since .*: \[filter\] p0_level_deg: 15.0 in the tuning, 16.0 in"
+    for read in (report_text, lambda out: from_python.TuningResults(out).study):
+        with pytest.raises(InputError, match=line):
+            read(out)
+
+
+@pytest.mark.nightly
+def test_any_flipped_bit_of_a_tuning_is_named_or_changes_nothing(
+    made: Path, tmp_path: Path
+) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "out"))
+
+    def read_all() -> list[object]:
+        found = from_python.TuningResults(out)
+        return [found.best, found.score, found.study, Results.read(out / "grid").summary]
+
+    expected, random = read_all(), np.random.default_rng(3)
+    files = sorted(path for path in out.rglob("*") if path.is_file() and path.name != ".lock")
+    for number in range(200):
+        path = files[number % len(files)]
+        content = path.read_bytes()
+        flipped, bit = bytearray(content), random.integers(8 * len(content))
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        try:
+            assert read_all() == expected, (path, bit)
+        except InputError as error:
+            assert len(error.lines) == 1 and f"{path}" in str(error), (path, bit)
+        path.write_bytes(content)
+
+
 def test_scores_and_differences_use_common_draws(made: Path) -> None:
-    tuning = Tuning.from_source(results.read_evaluation(made))
+    tuning = Tuning.read(made)
     runs, grid_runs = (tuning.run_values[tuning.case_numbers[n]] for n in ("gradient", "grid"))
     rows = read_summary(made / "evaluation").to_pylist()
     errors = [abs(row["phi_u_arcmin"]) for row in rows if row["case"] == "gradient"]

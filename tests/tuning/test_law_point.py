@@ -218,12 +218,12 @@ def test_searches_by_points_evaluate_the_law_first(
 @pytest.mark.nightly
 def test_report_states_gain_over_the_law(directory: Path) -> None:
     """The difference of both on the unused draws, with its interval."""
-    tuning = results.Tuning.from_source(results.read_evaluation(directory))
+    tuning = results.Tuning.read(directory)
     assert "law" in tuning.case_numbers
     made = sinsjax.TuningResults(directory)
     gain = tuning.difference(tuning.best, "law")
     assert made.law is not None and gain.value == pytest.approx(made.score.value - made.law.value)
-    report = tuning_report.build_report(results.read_evaluation(directory))
+    report = tuning_report.build_report(tuning)
     (text,) = (fact.text for fact in report.facts if fact.label == "Law")
     if tuning.case_numbers[tuning.best] != tuning.case_numbers["law"]:
         assert f"{-gain.value:.2f}" in text and f"[{-gain.high:.2f}, {-gain.low:.2f}]" in text
