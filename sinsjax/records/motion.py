@@ -86,7 +86,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
         force=dv.mean(axis=0) / dt,
         # Fast sways shorten the means of seconds, wrong gyros the resolved one: the better counts.
         force_magnitude=min(magnitudes, key=lambda size: abs(size - gravity)),
-        resolved_ratio=magnitudes[0] / magnitudes[1],
+        resolved_ratio=magnitudes[0] / (magnitudes[1] or 1.0),
         tilt_change=float(np.linalg.norm(tilts - tilts.mean(axis=0), axis=1).max()),
         turn_angle=max(0.0, float(np.ptp(np.cumsum([0.0, *steps]))) - sway),
         vertical_rate=float(vertical_rate[0]),
@@ -114,11 +114,6 @@ def _slope(values: FloatArray, spacing_s: float) -> tuple[FloatArray, float]:
     scatter = values - values.mean(axis=0) - np.outer(time_s, slope)
     variance = float((scatter**2).sum()) / (len(values) - 2)
     return slope, 3 * math.sqrt(variance / sum_of_squares)
-
-
-def vertical_rate(means: Means) -> float:
-    """Return the mean rate about the vertical, rad/s."""
-    return means.vertical_rate
 
 
 def white_noise(increments: FloatArray, rate_hz: float) -> float:

@@ -28,7 +28,7 @@ _DIRECTIONS = {
     "u": (2, 1.0), "down": (2, -1.0), "dn": (2, -1.0), "dwn": (2, -1.0), "d": (2, -1.0),
 }  # fmt: skip
 """Body axis, right, front or up, and sign of a direction."""
-_TURNS = {"pitch": 0, "roll": 1, "yaw": 2, "heading": 2, "q": 0, "p": 1}
+_TURNS = {"pitch": 0, "roll": 1, "yaw": 2}
 _ORDERS = {
     "right-front-up": "rfu", "right-forward-up": "rfu", "front-right-down": "frd",
     "forward-right-down": "frd", "front-left-up": "flu", "forward-left-up": "flu",
@@ -172,11 +172,9 @@ def _spell(text: str) -> str:
 def _is_of_sensor(name: _Name, sensor: str) -> bool:
     """Return whether the words of a name without its axis denote the sensor."""
     other = "accel" if sensor == "gyro" else "gyro"
-    if name.axis in _TURNS:
-        return (
-            sensor == "gyro"
-            and re.fullmatch(r"|rates?|gyro(_rate)?|ang(ular)?_rate", name.stem) is not None
-        )
+    if name.axis in _TURNS:  # without the word or the unit of a rate these are an attitude
+        is_rate = re.fullmatch(r"rates?|gyro(_rate)?|ang(ular)?_rate", name.stem) is not None
+        return sensor == "gyro" and (is_rate or not name.stem and "_per_" in name.unit[0])
     if _SENSORS[sensor].search(name.stem):
         return sensor == "gyro" or not _SENSORS[other].search(name.stem)
     if _SENSORS[other].search(name.stem):
@@ -199,32 +197,29 @@ def _parse_name(name: str, sensor: str) -> _Name | None:
     words = _words(text)
     if _MINUS & {*words}:
         sign, words = -sign, [word for word in words if word not in _MINUS]
-    for _ in range(2):  # a unit stands behind the axis, or before it as in gyro_rad[0]
-        if (split := _split_axis(words)) is not None:
-            stem, axis = split
-            if not unit[0] and axis not in _TURNS:
-                stem, unit = _split_unit(stem, sensor)
-            return _Name("_".join(stem), axis, unit, sign)
-        words, found_unit = _split_unit(words, sensor)
-        unit = found_unit if found_unit[0] else unit
-    return None
+    words, unit = _split_unit(words, unit, sensor)
+    if (split := _split_axis(words)) is None:
+        return None
+    stem, unit = _split_unit(split[0], unit, sensor)  # before the axis, as in gyro_rad[0]
+    return _Name("_".join(stem), split[1], unit, sign)
 
 
-def _split_unit(words: list[str], sensor: str) -> tuple[list[str], Unit]:
+def _split_unit(words: list[str], known: Unit, sensor: str) -> tuple[list[str], Unit]:
+    """Return the words without a unit at their end, and that unit unless one is known."""
     for count in (3, 2, 1):
         if len(words) > count and (unit := parse_unit("_".join(words[-count:]), sensor)):
-            return words[:-count], unit
-    return words, NO_UNIT
+            return (words, known) if known[0] else (words[:-count], unit)
+    return words, known
 
 
 def _split_axis(words: list[str]) -> tuple[list[str], str] | None:
     """Return the words of a name without its axis, and the axis; None without one."""
     axes = {*"xyz0123", *_DIRECTIONS, *_TURNS}
-    turns = [word for word in words if word in _TURNS and (len(word) > 1 or len(words) == 1)]
-    if turns:
+    if turns := [word for word in words if word in _TURNS]:
         return [word for word in words if word != turns[0]], turns[0]
     for place in (len(words) - 1, 0, len(words) - 2):  # also as in X Accel and acc_x_raw
-        is_letter = 0 <= place < len(words) and (place == len(words) - 1 or words[place] in "xyz")
+        is_last = place == len(words) - 1
+        is_letter = 0 <= place < len(words) and (is_last or words[place] in "xyz0123")
         if len(words) > 1 and is_letter and words[place] in axes - _TURNS.keys():
             return [*words[:place], *words[place + 1 :]], words[place]
         if len(words) > 1 and 0 <= place < len(words) and len(words[place]) > 1:

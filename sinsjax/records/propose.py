@@ -23,9 +23,9 @@ from sinsjax.records.layout import (
     FloatArray,
     Note,
     RecordLayout,
-    increment_factor,
     quantity_of,
     to_body_axes,
+    unit_factor,
 )
 from sinsjax.records.motion import EARTH_RATE
 from sinsjax.records.names import Triad, find_named_order, find_triads, name_given_triad
@@ -42,6 +42,13 @@ _STANDARDS = {
 }
 """Message standards with gyros in rad/s and forces in m/s^2, by what names contain."""
 _TAG = re.compile(r"gyr|acc|magn|baro|temp", re.IGNORECASE)
+_LABEL = re.compile(
+    r"(?=.)(sensor|imu|device|node|unit|source|topic|message|msg)?[ _.]?(id|name|type|no)?",
+    re.IGNORECASE,
+)
+"""Names of columns that tell of which sensor a row is."""
+_MAX_LABELS = 5  # more are a count of the rows
+_NO_RATE = Note("", "", "increments show their unit once the sample rate is known")
 
 
 class Proposal(NamedTuple):
@@ -50,12 +57,12 @@ class Proposal(NamedTuple):
     Attributes:
         layout: layout of its record; open keys have values to examine the file with.
         notes: reasons, doubts and questions by key.
-        has_sensors: whether the columns of both sensors are known, so that there is a record.
+        is_readable: whether columns and clock are known, so that there is a record.
     """
 
     layout: RecordLayout
     notes: Mapping[str, Note]
-    has_sensors: bool
+    is_readable: bool
 
 
 def propose_layout(path: Path, table: Table, answers: Mapping[str, Any]) -> Proposal:
@@ -81,6 +88,7 @@ def propose_layout(path: Path, table: Table, answers: Mapping[str, Any]) -> Prop
     if not clock.fields:
         layout = layout._replace(rate_hz=clock.rate_hz)
     notes |= clock.notes
+    rate_hz = answers.get("rate_hz", math.nan if clock.is_open else clock.rate_hz)
     gyro, accel = triads["gyro"], triads["accel"]
     if gyro is None or accel is None:
         names = {f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad}
@@ -88,16 +96,20 @@ def propose_layout(path: Path, table: Table, answers: Mapping[str, Any]) -> Prop
         notes |= dict.fromkeys(("gyro_unit", "accel_unit", "axes_order"), open_)
         layout = layout._replace(**names)  # type: ignore[arg-type]
     else:
-        layout = _propose_sensors(path, table, gyro, accel, answers, clock.rate_hz, layout, notes)
+        layout = _propose_sensors(path, table, gyro, accel, answers, rate_hz, layout, notes)
     known = {key: value for key, value in answers.items() if key in RecordLayout._fields}
     notes |= dict.fromkeys(known, Note("given"))
-    return Proposal(layout._replace(**known), notes, None not in (gyro, accel))
+    is_timed = not any(key in notes and notes[key].question for key in ("rate_hz", "time_unit"))
+    return Proposal(layout._replace(**known), notes, is_timed and None not in (gyro, accel))
 
 
 def _refuse_tagged_rows(path: Path, table: Table) -> None:
     """Refuse a file whose rows are of several sensors in turn."""
-    for cells in table.head.values():
-        tags = [*dict.fromkeys(cell for cell in cells if _TAG.search(cell))]
+    for name, cells in table.head.items():
+        labels = [*dict.fromkeys(filter(None, cells))]
+        tags = [cell for cell in labels if _TAG.search(cell)]
+        if len(tags) < 2 and _LABEL.fullmatch(name) and len(labels) <= _MAX_LABELS:
+            tags = labels
         if len(tags) > 1:
             text = f"rows of several sensors in turn ({', '.join(tags[:3])})"
             hint = "make each a set of columns of one row, matched by the nearest stamp"
@@ -123,7 +135,7 @@ def _find_triad(
     if len(triads) == 1 and not triads[0].in_navigation_frame:
         notes[key] = Note("by their names")
         return triads[0]
-    problem = f"no column is named as of {_SENSORS[sensor]}"
+    problem = f"no column is named as of {_SENSORS[sensor]}."
     if triads:
         problem = f"which of these are the {_SENSORS[sensor]} of one box, in its own axes?"
     shown: list[Any] = [*triads] or [name for name in table.names if name in table.numbers]
@@ -150,9 +162,13 @@ def _gravity_units(magnitude: float, rate_hz: float, quantity: str) -> list[str]
     """Return the units in which a magnitude is that of gravity."""
     return [
         unit for unit in ACCEL_UNITS[quantity]
-        if abs(magnitude * increment_factor(unit, rate_hz) * rate_hz / STANDARD_GRAVITY - 1)
-        < _NEAR_GRAVITY
+        if abs(magnitude * _rate_factor(unit, rate_hz) / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY
     ]  # fmt: skip
+
+
+def _rate_factor(unit: str, rate_hz: float) -> float:
+    """Return the factor to SI rates; nan for increments if the sample rate is unknown, nan."""
+    return unit_factor(unit) * (1.0 if quantity_of(unit) == RATES else rate_hz)
 
 
 def _propose_sensors(
@@ -168,7 +184,7 @@ def _propose_sensors(
     """Return the layout with columns, units, scales and axes of both sensors."""
     rows = np.column_stack(table.read([*gyro.names, *accel.names], blanks=True))
     rows = rows[np.isfinite(rows).all(axis=1)]
-    if len(rows) < max(2, rate_hz):
+    if len(rows) < 2 or len(rows) < rate_hz:
         raise InputError(f"{path}: has less than a second without missing samples")
     scales = {
         f"{sensor}_scale": answers.get(
@@ -181,16 +197,19 @@ def _propose_sensors(
     accel_unit = answers.get("accel_unit") or accel.unit[0]
     quantity = INCREMENTS if accel.are_increments else RATES
     if accel_unit:
-        ratio = magnitude * increment_factor(accel_unit, rate_hz) * rate_hz / STANDARD_GRAVITY
-        doubt = "" if abs(ratio - 1) < _NEAR_GRAVITY else "far from gravity in the stated unit"
-        notes["accel_unit"] = Note(f"the mean is {ratio:.4g} times gravity", doubt)
+        ratio = magnitude * _rate_factor(accel_unit, rate_hz) / STANDARD_GRAVITY
+        doubt = "far from gravity in the stated unit" if abs(ratio - 1) > _NEAR_GRAVITY else ""
+        reason = f"; the mean is {ratio:.4g} times gravity" if ratio > 0 else ""
+        notes["accel_unit"] = Note(f"by the names{reason}", doubt)
     elif found := _gravity_units(magnitude, rate_hz, quantity):
         accel_unit = found[0]
         notes["accel_unit"] = Note(f"the mean has the magnitude of gravity, {magnitude:.5g}")
+    elif quantity == INCREMENTS and math.isnan(rate_hz):
+        accel_unit, notes["accel_unit"] = "m_per_s", _NO_RATE
     else:
         accel_unit = "g" if quantity == RATES else "m_per_s"
         one = STANDARD_GRAVITY / (magnitude or 1.0)
-        one /= increment_factor(accel_unit, rate_hz) * rate_hz
+        one /= _rate_factor(accel_unit, rate_hz)
         notes["accel_unit"] = Note("of one count, see accel_scale")
         question = (
             f"the mean of {', '.join(accel.names)} has a magnitude of {magnitude:.5g}, gravity in"
@@ -226,9 +245,13 @@ def _gyro_unit(
     if unit in ("rad", "deg") and not gyro.are_increments and quantity_of(accel_unit) == RATES:
         unit = f"{unit}_per_s"  # as PX4 writes gyro_rad
     if unit:
-        of_earth = mean * increment_factor(unit, rate_hz) * rate_hz / EARTH_RATE
-        notes["gyro_unit"] = Note(f"by the names; the mean rate is {of_earth:.3g} times Earth rate")
+        of_earth = mean * _rate_factor(unit, rate_hz) / EARTH_RATE
+        reason = f"; the mean rate is {of_earth:.3g} times Earth rate" if of_earth >= 0 else ""
+        notes["gyro_unit"] = Note(f"by the names{reason}")
         return unit
+    if gyro.are_increments and math.isnan(rate_hz):
+        notes["gyro_unit"] = _NO_RATE
+        return "rad"
     rates = _rates(mean, INCREMENTS if gyro.are_increments else RATES, rate_hz)
     question = f"no name states it. {rates}"
     for standard, parts in _STANDARDS.items():
@@ -249,7 +272,7 @@ def _rates(mean: float, quantity: str, rate_hz: float) -> str:
     """Return the mean rate in each candidate unit beside Earth rate, and the line to write."""
     lines = []
     for unit in GYRO_UNITS[quantity]:
-        rate = mean * increment_factor(unit, rate_hz) * rate_hz
+        rate = mean * _rate_factor(unit, rate_hz)
         text = f"mean rate {rate / DEG_PER_H:.3g} deg/h, {rate / EARTH_RATE:.3g} times Earth rate"
         lines.append(f'gyro_unit = "{unit}": {text}')
     return "; ".join(lines)

@@ -209,16 +209,18 @@ def propose_clock(
         and (name in dates or name in numbers and _TIME_NAME.search(name))
     ]  # fmt: skip
     read = table.read(names, blanks=True, dates=dates) if names else []
-    columns = dict(zip(names, read, strict=True))
-    units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in names}
+    found = zip(names, read, strict=True)
+    columns = {name: stamps for name, stamps in found if np.isfinite(stamps).sum() > 1}
+    units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in columns}
     fractions = {
-        name: units[name] for name in names
+        name: units[name] for name in columns
         if units[name] in ("ms", "us", "ns")
         and _is_fraction(columns[name] * TIME_UNITS[units[name]])
     }  # fmt: skip
     clocks = [
         _try_clock(path, columns, name, answers.get("time_unit", units[name]), fractions, answers)
-        for name in ([given] if given else names)
+        for name in columns
+        if name == (given or name)
     ]
     if clocks:
         return min(clocks, key=lambda clock: (clock.is_open, not clock.fields))
@@ -270,7 +272,8 @@ def _try_clock(
         problem = str(error).removeprefix(f"{path}: ").partition(" (drop")[0]
         span_s = float(np.ptp(time_s)) if len(time_s) > 1 else 0.0
         rate_hz = (len(time_s) - 1) / span_s if span_s else _PLACEHOLDER_HZ
-        question = f"{problem}; the mean step would give {rate_hz:.6g} Hz: give the true rate"
+        mean = f"; the mean step would give {rate_hz:.6g} Hz" if span_s else ""
+        question = f"{problem}{mean}: give the true rate"
         return Clock({}, rate_hz, {"rate_hz": Note("Hz", "", question)})
     reason = "the stamps are taken for the ends of the samples"
     return Clock(fields, rate_hz, {"time_column": Note(reason), "time_unit": note})

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import ValidationError, create_model
 
 from sinsjax.errors import InputError
@@ -27,7 +26,7 @@ from sinsjax.records.checks import (
     report_anomalies,
 )
 from sinsjax.records.layout import PSINS_LAYOUT, Anomaly, Note, Record, RecordLayout
-from sinsjax.records.motion import EARTH_RATE, Means, compute_means, vertical_rate, white_noise
+from sinsjax.records.motion import EARTH_RATE, Means, compute_means, white_noise
 from sinsjax.records.propose import propose_layout
 from sinsjax.records.psins import is_psins
 from sinsjax.records.reader import open_log
@@ -44,6 +43,10 @@ _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
 _OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg", "record.gyro_bias_deg_per_h")
 _WIDTH = 100
 _NO_NOTE = Note("")
+_NO_LENGTH = (
+    "the length is unknown, and nothing is checked: with answers about columns and time, `sinsjax"
+    " init record --from LOG --set KEY=VALUE` examines the rest"
+)
 _ALIGNMENT = """\
 # for a covariance: "kalman_sincos" with the noise of the sensors in [filter] (sinsjax keys filter)
 [alignment]
@@ -73,7 +76,7 @@ class _ProposedFile(NamedTuple):
     Attributes:
         layout: layout of the record in the file; open keys have values to read it with.
         notes: reasons, doubts and questions by key of [record], and of rate_hz.
-        record: record that is read with the layout; None if the columns are open.
+        record: record that is read with the layout; None if columns or clock are open.
         kind: description of the kind of file.
     """
 
@@ -132,8 +135,7 @@ def make_study_text(
             _ALIGNMENT,
         ]
         return "\n".join(sections)
-    shortest_s = 0.0 if proposed.is_open("rate_hz", "time_unit") else _SHORTEST_S
-    part, part_note = _longest_part(record_path, record, shortest_s)
+    part, part_note = _longest_part(record_path, record)
     span = _sample_range(record, part)
     means = compute_means(record, span, STANDARD_GRAVITY)
     if means.turns is None and part.fine_s > _LONGEST_PARKED_S:
@@ -153,7 +155,7 @@ def make_study_text(
     sections = [
         _title_section(record_path, study_path),
         _study_section(record_path, proposed, part, part_note),
-        _earth_section(proposed, means if is_known else None, latitude),
+        _earth_section(proposed, means if is_known and not findings else None, latitude),
         _record_section(proposed, part, findings, gyro_bias),
         _coarse_section(part),
         alignment,
@@ -184,7 +186,7 @@ def _expected_values(
 ) -> StationaryValues:
     """Return the measurements to expect; an unknown latitude is that of the measurements."""
     known_deg = latitude_deg if latitude_deg is not None else header_deg
-    latitude = math.asin(max(-1.0, min(1.0, vertical_rate(means) / EARTH_RATE)))
+    latitude = math.atan2(means.vertical_rate, means.vertical_drift)
     if means.turns is not None:
         latitude = math.acos(min(1.0, means.turns.drift / EARTH_RATE))
     return StationaryValues.with_biases(
@@ -239,7 +241,7 @@ def _propose_table(path: Path, answers: Mapping[str, Any]) -> _ProposedFile:
     for name in (*layout.time_columns, *layout.gyro_columns, *layout.accel_columns):
         if CONTROL.search(name):
             raise InputError(f"{path}: column {name!r}: control characters in its name (rename it)")
-    if not found.has_sensors:
+    if not found.is_readable:
         return _ProposedFile(layout, notes, None, kind)
     record = read_record(path, layout)
     gaps = [(flaw.end - flaw.begin + 1) / record.rate_hz for flaw in record.flaws]
@@ -252,7 +254,7 @@ def _propose_table(path: Path, answers: Mapping[str, Any]) -> _ProposedFile:
     return _ProposedFile(layout, notes, record, kind)
 
 
-def _longest_part(path: Path, record: Record, shortest_s: float) -> tuple[_AlignedPart, Note]:
+def _longest_part(path: Path, record: Record) -> tuple[_AlignedPart, Note]:
     """Return the part of a record that can be aligned, the longest one without a gap."""
     rate = record.rate_hz
     nominal = float(round(rate)) if round(rate) else rate
@@ -263,7 +265,7 @@ def _longest_part(path: Path, record: Record, shortest_s: float) -> tuple[_Align
     begin, end = max(parts, key=lambda part: part[1] - part[0])
     start_s = math.ceil(begin / rate)
     intervals = math.floor(((end / rate) - start_s) / interval_s + 1e-6)
-    if intervals < 2 or intervals * interval_s < shortest_s:
+    if intervals < 2 or intervals * interval_s < _SHORTEST_S:
         raise InputError(
             f"{path}: has only {intervals * interval_s:.3g} s without a gap (an alignment needs"
             f" {_SHORTEST_S:g} s)"
@@ -314,7 +316,7 @@ def _study_section(
 ) -> str:
     """Return the [study]; without a part the length of the record is unknown."""
     duration, interval_s = 60.0, 1.0
-    duration_note = Note("s, the alignment", "the length is unknown")
+    duration_note = Note("s, the alignment", _NO_LENGTH)
     rate_hz, rate_note = proposed.layout.rate_hz, Note("Hz, of the record")
     if part is not None and proposed.record is not None:
         duration, interval_s, rate_hz = part.fine_s, part.interval_s, part.rate_hz
@@ -349,10 +351,9 @@ def _earth_section(proposed: _ProposedFile, means: Means | None, given_deg: floa
     if given_deg is None:
         question = "the latitude of the place in degrees, negative in the south"
         if means is not None and means.turns is None:
-            rate = float(np.linalg.norm(means.rate))
-            angle = math.asin(max(-1.0, min(1.0, vertical_rate(means) / rate))) / DEG
-            question += f" (the gyros give {angle:.1f} if their mean rate, {rate / EARTH_RATE:.3g}"
-            question += " times Earth rate, is Earth rate)"
+            angle = math.atan2(means.vertical_rate, means.vertical_drift) / DEG
+            question += f" (the gyros give {angle:.1f}; their mean rate is"
+            question += f" {means.magnitude / EARTH_RATE:.3g} times Earth rate)"
         note = Note("", "", question)
     lines += _format_key_lines("latitude_deg", given_deg, note)
     return "\n".join([*lines, ""])
