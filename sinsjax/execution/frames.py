@@ -57,7 +57,9 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
         text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
     table = table.sort_by("run_id")
-    dimensions = {keys[0]: d for keys, d in zip(study.axes_shown, study.dimensions, strict=True)}
+    dimensions: dict[str, Any] = {
+        keys[0]: d for keys, d in zip(study.axes_shown, study.dimensions, strict=True)
+    }
     if any(len(keys) > 1 for keys in study.axes_shown):
         dimensions = {"variant": dict.fromkeys(study.axis_keys, range(study.n_variants))}
     shape = {"draw": len(draws)}
