@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import filelock
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -37,21 +37,6 @@ _FORMER_FILES = (".writer", ".figures.json")  # of version 1.0
 _TUNING = ("tuned.toml", "history.parquet", "grid", "sobol", "evaluation")
 _NAMES = (MANIFEST, STUDY, LOCK, *DATASETS, "figures", "reruns", *_TUNING, *_FORMER_FILES)
 _FIGURE_MARK = b"Software\0sinsjax"  # as `plots.render_png` writes it, before the pixels
-
-
-class FileState(NamedTuple):
-    """State of a file; a changed file compares unequal."""
-
-    path: Path
-    inode: int
-    size: int
-    mtime_ns: int
-
-    @classmethod
-    def from_path(cls, path: Path) -> "FileState":
-        """Return the state of a file."""
-        status = path.stat()
-        return cls(path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns)
 
 
 class Manifest(BaseModel):
@@ -198,16 +183,6 @@ def check_directory(directory: Path) -> None:
         raise InputError(f"{directory}: {text}") from None
     except OSError as error:
         raise InputError(unwritable_message(directory, error)) from error
-
-
-def existing_names(directory: Path, names: Iterable[str]) -> list[str]:
-    """Return the names that exist in a directory, which may be missing itself.
-
-    Raises:
-        InputError: the directory cannot be used, see `check_directory`.
-    """
-    check_directory(directory)
-    return [name for name in names if (directory / name).exists()]
 
 
 def list_parts(directory: Path, dataset: str) -> list[Path]:

@@ -57,57 +57,38 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
         text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
     table = table.sort_by("run_id")
-    axes, coordinates = _dimensions_and_coordinates(study)
-    shape = {"draw": len(draws), **axes}
-    coordinates["draw"] = ("draw", draws)
-    if study.is_recorded:
-        starts = table["start_s"].to_numpy().reshape(len(draws), -1)[:, 0]
-        coordinates["start_s"] = ("draw", starts)
-    fields = {field.name: field for field in table.schema}
-    coordinate_names = {*coordinates, "draw_id", "variant_id"}
+    dimensions: dict[str, Any] = {
+        keys[0]: d for keys, d in zip(study.axes_shown, study.dimensions, strict=True)
+    }
+    if any(len(keys) > 1 for keys in study.axes_shown):
+        dimensions = {"variant": dict.fromkeys(study.axis_keys, range(study.n_variants))}
+    shape = {"draw": len(draws)}
+    shape |= {name: len(next(iter(keys.values()))) for name, keys in dimensions.items()}
+    values = {
+        name: _column_values(table[name]).reshape(*shape.values()) for name in table.column_names
+    }
+    keys_of = {"draw": ["start_s"] if study.is_recorded else [], **dimensions}
+    coordinates = {"draw": ("draw", draws)}
+    if "variant" in dimensions:
+        coordinates["variant"] = ("variant", np.arange(study.n_variants))
+    for axis, (dimension, keys) in enumerate(keys_of.items()):
+        for key in keys:
+            along = np.moveaxis(values[key], axis, 0).reshape(shape[dimension], -1)[:, 0]
+            coordinates[key] = (dimension, along)
     variables = {
-        name: (tuple(shape), _column_values(table[name]).reshape(*shape.values()))
-        for name in fields
-        if name not in coordinate_names
+        name: (tuple(shape), array)
+        for name, array in values.items()
+        if name not in {*coordinates, "draw_id", "variant_id"}
     }
     dataset = xarray.Dataset(variables, coordinates, {"title": study.name})
-    for name in fields.keys() & dataset.variables.keys():
+    for name in {*table.column_names} & dataset.variables.keys():
+        field = table.schema.field(name)
         attributes = {
-            "units": _field_metadata(fields[name], "unit"),
-            "long_name": _field_metadata(fields[name], "meaning"),
+            "units": _field_metadata(field, "unit"),
+            "long_name": _field_metadata(field, "meaning"),
         }
         dataset[name].attrs |= {key: text for key, text in attributes.items() if text}
     return dataset
-
-
-def _dimensions_and_coordinates(
-    study: Study,
-) -> tuple[dict[str, int], dict[str, tuple[str, np.ndarray]]]:
-    """Return the length of each dimension, and the coordinates with their dimensions."""
-    axes = study.axes_shown
-    if any(len(keys) > 1 for keys in axes):
-        values = {"variant": range(study.n_variants), **study.variant_values()}
-        sizes = {"variant": study.n_variants}
-        return sizes, {
-            key: ("variant", _coordinate_values(column)) for key, column in values.items()
-        }
-    names = {keys[0]: dimension for keys, dimension in zip(axes, study.dimensions, strict=True)}
-    coordinates = {
-        key: (name, _coordinate_values(values))
-        for name, dimension in names.items()
-        for key, values in dimension.items()
-    }
-    return {name: len(dimension[name]) for name, dimension in names.items()}, coordinates
-
-
-def _coordinate_values(values: Any) -> np.ndarray:
-    """Return values of a key as an array: numbers, or text."""
-    kinds = {type(value) for value in values}
-    if kinds == {bool} or kinds <= {int, float}:
-        return np.array(values)
-    if kinds <= {int, float, type(None)}:
-        return np.array([np.nan if value is None else value for value in values])
-    return np.array([_format_value(value) for value in values])
 
 
 def _column_values(column: pa.ChunkedArray) -> np.ndarray:

@@ -10,10 +10,9 @@ from sinsjax.execution.directory import (
     DATASETS,
     MANIFEST,
     STUDY,
-    FileState,
     Manifest,
     OtherVersionError,
-    existing_names,
+    check_directory,
     list_parts,
 )
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA, read_part_metadata
@@ -42,7 +41,9 @@ def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    existing = existing_names(directory, (*DATASETS, "figures", STUDY, MANIFEST))
+    check_directory(directory)
+    names = (*DATASETS, "figures", STUDY, MANIFEST)
+    existing = [name for name in names if (directory / name).exists()]
     if not existing:
         return
     try:
@@ -62,11 +63,11 @@ def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
         )
 
 
-def manifest_state(directory: Path) -> FileState | None:
-    """Return the state of a directory's manifest, which every write changes; None without one."""
+def manifest_state(directory: Path) -> bytes | None:
+    """Return the content of a directory's manifest, which every write changes; None without one."""
     try:
-        return FileState.from_path(directory / MANIFEST)
-    except OSError:
+        return read_regular_file(directory / MANIFEST)
+    except (OSError, InputError):
         return None
 
 

@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from sinsjax import columns
 from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
-from sinsjax.engine.metrics import Observation, Outcome
+from sinsjax.engine.metrics import Observation
 from sinsjax.engine.scenario import start_samples
 from sinsjax.execution import schemas
 from sinsjax.execution.success import (
@@ -47,17 +46,14 @@ class TableBuilder:
             has_truth: False for a record without a reference; columns that need one are null.
             curves: whether the chunks have curves.
         """
-        self._study = study
-        self._has_truth = has_truth
-        self._bands = settling_bands(study)
-        self._end_s, self._pass_s = study.spans_s.T
-        self._last_reset_s = last_scheduled_reset_s(study)
+        self._study, self._has_truth = study, has_truth
         self.summary_columns = schemas.summary_columns(study)
         self.curve_columns = schemas.curve_columns(study)
         self.schemas = {"curves": self.curve_columns} if curves else {}
         self.schemas["summary"] = self.summary_columns
-        self._has_data_columns = schemas.has_data_columns(study)
-        self._data_before_start_s = _data_before_start_s(study)
+        self._end_s, self._pass_s = study.spans_s.T
+        self._last_reset_s = last_scheduled_reset_s(study)
+        self._before_s = _data_before_start_s(study)
         self._by_variant = schemas.variant_columns(study, self.summary_columns)
         self._keys = Variants.all_of(study)
         self._methods = study.coded("method")
@@ -86,140 +82,113 @@ class TableBuilder:
             chunk: engine results.
             variant_ids: (variants of the part,) their numbers in the study.
         """
+        study, outcome, draw = self._study, chunk.outcome, chunk.draw
         variant = variant_ids[chunk.variant]
-        outcome = chunk.outcome
-        values: dict[str, Any] = {
-            "run_id": chunk.draw * self._study.n_variants + variant,
-            "draw_id": chunk.draw,
-            "variant_id": variant,
-            "start_s": self._start_s[chunk.draw],
-        }
-        values |= {name: column.take(variant) for name, column in self._by_variant.items()}
-        first = int(chunk.draw.min())
-        drawn = sampling.drawn_values(self._study, int(chunk.draw.max()) + 1 - first, first=first)
-        for name, column in drawn.items():
-            drawn_values = column[chunk.draw - first]
-            values[name] = drawn_values if drawn_values.ndim == 1 else list(drawn_values)
-        values |= self._angle_columns(outcome.last)
+        codes, names = self._methods
+        method = METHODS[names[codes[variant[0]]]]  # that of all runs of a chunk
         verdict = evaluate_success(
-            self._study,
+            study,
             outcome,
             self._floor_flags(chunk, variant),
             self._end_s[variant],
             has_truth=self._has_truth,
-            finds_heading=self._chunk_method(variant).finds_heading,
+            finds_heading=method.finds_heading,
         )
-        values |= self._settling_columns(
-            verdict, self._pass_s[variant], self._data_before_start_s[variant]
-        )
-        values |= self._report_time_columns(outcome)
+        values = {
+            "run_id": draw * study.n_variants + variant,
+            "draw_id": draw,
+            "variant_id": variant,
+            "start_s": self._start_s[draw],
+            "status": verdict.status,
+            **{name: column.take(variant) for name, column in self._by_variant.items()},
+            **self._drawn_values(draw),
+            **self._method_values(chunk, method),
+            **_attitude_values(outcome.last),
+        }
+
+        def if_floor(value: Any) -> np.ndarray:
+            return np.where(verdict.has_floor, value, np.nan)
+
+        error, floor_error, steady = outcome.above_share
+        errors = {
+            **_error_values(outcome.last),
+            **self._settling_values(verdict, variant),
+            "p_above_error_share": error,
+            "p_above_floor_error_share": if_floor(floor_error),
+            "p_above_error_steady_share": steady,
+            "floor_arcmin": if_floor(outcome.floor.phi.z / ARCMIN),
+            "nis_u": if_floor(outcome.nis_u),
+            "nees": outcome.nees,
+            "has_floor": verdict.has_floor,
+            "ok_floor": pa.array(verdict.ok[FLOOR], mask=~verdict.has_floor),
+            "ok_truth": verdict.ok[TRUTH],
+        }
         for suffix, statistics in (("_mean", outcome.mean), ("_std", outcome.std)):
             for axis, value in zip("enu", statistics[:3], strict=True):
-                values[f"phi_{axis}{suffix}_arcmin"] = self._truth_column(value / ARCMIN)
+                errors[f"phi_{axis}{suffix}_arcmin"] = value / ARCMIN
             for angle, value in zip(("pitch", "roll", "yaw"), statistics[3:], strict=True):
-                values[f"{angle}{suffix}_deg"] = nullable_array(value / DEG)
-        shares = ("error", "floor_error", "error_steady")
-        for name, value in zip(shares, outcome.above_share, strict=True):
-            values[f"p_above_{name}_share"] = self._truth_column(value)
-        from_floor = {
-            "p_above_floor_error_share": values["p_above_floor_error_share"],
-            "floor_arcmin": self._truth_column(outcome.floor.phi.z / ARCMIN),
-            "nis_u": self._truth_column(outcome.nis_u),
-            "ok_floor": self._truth_flag_column(verdict.ok[FLOOR]),
-        }
-        no_floor = pa.array(~verdict.has_floor)
-        values |= {k: pc.if_else(no_floor, None, column) for k, column in from_floor.items()}
-        values["has_floor"] = self._truth_flag_column(verdict.has_floor)
-        values["ok_truth"] = self._truth_flag_column(verdict.ok[TRUTH])
-        values["nees"] = self._truth_column(outcome.nees)
-        values["status"] = verdict.status
-        values |= self._method_values(chunk, variant)
-        return make_table(self.summary_columns, values)
+                values[f"{angle}{suffix}_deg"] = value / DEG
+        for number, time_s in enumerate(study.report_times_s):
+            phi, sigma, nees = np.asarray(outcome.at_times)[:, number].T
+            names_at = (column.name for column in columns.report_time_columns(time_s))
+            phi_name, sigma_name, nees_name = names_at
+            values[sigma_name] = sigma / ARCMIN
+            errors |= {phi_name: phi / ARCMIN, nees_name: nees}
+        return self._make_table(self.summary_columns, values, errors)
 
     def curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the curves of a chunk that has them, one row per run and record time."""
-        assert isinstance(chunk.curves, Observation)
-        run_id = chunk.draw * self._study.n_variants + variant_ids[chunk.variant]
-        codes, spans = self._study.lengths
+        study, curves = self._study, chunk.curves
+        assert isinstance(curves, Observation)
+        run_id = chunk.draw * study.n_variants + variant_ids[chunk.variant]
+        codes, spans = study.lengths
         span = spans[codes[variant_ids[0]]]  # common to all variants of a part
-        time_s = self._study.update_times(span)
+        time_s = study.update_times(span)
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
-        if self._study.passes:
+        if study.passes:
             values["update_time_s"] = values["time_s"]
-            values["stored_time_s"] = np.tile(self._study.stored_times(span), len(run_id))
+            values["stored_time_s"] = np.tile(study.stored_times(span), len(run_id))
             values["pass"] = np.tile(span.pass_numbers(), len(run_id))
-        return make_table(self.curve_columns, values | self._angle_columns(chunk.curves))
+        values |= _attitude_values(curves)
+        return self._make_table(self.curve_columns, values, _error_values(curves))
 
-    def _angle_columns(self, observation: Observation) -> dict[str, pa.Array]:
-        values = {
-            f"phi_{a}_arcmin": self._truth_column(v / ARCMIN) for a, v in _zip_axes(observation.phi)
-        }
-        values |= {
-            f"sigma_{a}_arcmin": nullable_array(v / ARCMIN) for a, v in _zip_axes(observation.sigma)
-        }
-        angles = {"pitch": observation.pitch, "roll": observation.roll, "yaw": observation.yaw}
-        values |= {f"{name}_deg": nullable_array(v / DEG) for name, v in angles.items()}
-        # Twice, because a tiny negative angle is rounded to 360.
-        heading = np.mod(np.mod(-np.asarray(observation.yaw) / DEG, 360.0), 360.0)
-        return values | {"heading_deg": nullable_array(heading)}
+    def _make_table(
+        self, schema: tuple[Column, ...], values: dict[str, Any], errors: dict[str, Any]
+    ) -> pa.Table:
+        """Return a table of values, and of errors, which are null without a truth."""
+        arrays = {name: _to_column(value) for name, value in values.items()}
+        if self._has_truth:
+            arrays |= {name: _to_column(value) for name, value in errors.items()}
+        else:
+            arrays |= dict.fromkeys(errors, pa.nulls(len(arrays["run_id"])))
+        return make_table(schema, arrays)
 
-    def _chunk_method(self, variant: np.ndarray) -> Method:
-        """Return the method that all variants of a chunk share."""
-        codes, names = self._methods
-        return METHODS[names[codes[variant[0]]]]
+    def _drawn_values(self, draw: np.ndarray) -> dict[str, Any]:
+        """Return the drawn values of runs, by their draws."""
+        first = int(draw.min())
+        drawn = sampling.drawn_values(self._study, int(draw.max()) + 1 - first, first=first)
+        rows = {name: values[draw - first] for name, values in drawn.items()}
+        return {name: row if row.ndim == 1 else list(row) for name, row in rows.items()}
 
-    def _method_values(self, chunk: Chunk, variant: np.ndarray) -> dict[str, pa.Array]:
-        """Return the columns specific to methods; all runs of a chunk have the same method."""
-        method = self._chunk_method(variant)
-        method_names = {column.column.name for column in method.own_columns(self._keys)}
+    def _method_values(self, chunk: Chunk, method: Method) -> dict[str, pa.Array]:
+        """Return the columns specific to methods; those of other methods have no values."""
+        own = {column.column.name for column in method.own_columns(self._keys)}
         values = {}
         for name, (column, value, missing, _) in self._method_columns.items():
-            column_values = (
-                value(chunk.outcome.results, self._study.rate_hz)
-                if name in method_names
-                else missing
-            )
-            array = nullable_array(np.broadcast_to(column_values, len(variant)))
-            values[name] = array.cast(column.dtype)
+            found = value(chunk.outcome.results, self._study.rate_hz) if name in own else missing
+            array = np.broadcast_to(np.asarray(found, float), len(chunk.draw))
+            values[name] = _to_column(array).cast(column.dtype)
         return values
 
-    def _truth_column(self, values: Any) -> pa.Array:
-        """Return a column of values that need a truth: null without one, or if not finite."""
-        return nullable_array(values if self._has_truth else np.full(np.shape(values), np.nan))
-
-    def _truth_flag_column(self, flags: np.ndarray) -> pa.Array:
-        """Return a column of flags that need a truth: null without one."""
-        return pa.array(flags if self._has_truth else [None] * len(flags), pa.bool_())
-
-    def _settling_columns(
-        self, verdict: RunSuccess, pass_s: np.ndarray, before_s: np.ndarray
-    ) -> dict[str, pa.Array]:
+    def _settling_values(self, verdict: RunSuccess, variant: np.ndarray) -> dict[str, np.ndarray]:
         """Return the settling times of all bands, about bias floor and truth, by column."""
         values = {}
-        for truth, settled_by_band in (
-            (False, verdict.settled_s[FLOOR]),
-            (True, verdict.settled_s[TRUTH]),
-        ):
-            for band, settled in zip(self._bands, settled_by_band, strict=True):
-                name = columns.settle_column(band, truth=truth).name
-                values[name] = self._truth_column(settled)
-                if self._has_data_columns:
-                    data_column = columns.settle_data_column(band, truth=truth).name
-                    values[data_column] = self._truth_column(before_s + np.minimum(settled, pass_s))
-        return values
-
-    def _report_time_columns(self, outcome: Outcome) -> dict[str, pa.Array]:
-        """Return the heading error, its sigma and NEES at the report times, by column."""
-        values: dict[str, pa.Array] = {}
-        for number, time in enumerate(self._study.report_times_s):
-            phi, sigma, nees = np.asarray(outcome.at_times)[:, number].T
-            arrays = (
-                self._truth_column(phi / ARCMIN),
-                nullable_array(sigma / ARCMIN),
-                self._truth_column(nees),
-            )
-            names = (column.name for column in columns.report_time_columns(time))
-            values |= dict(zip(names, arrays, strict=True))
+        for criterion, truth in ((FLOOR, False), (TRUTH, True)):
+            settled_by_band = verdict.settled_s[criterion]
+            for band, settled in zip(settling_bands(self._study), settled_by_band, strict=True):
+                values[columns.settle_column(band, truth=truth).name] = settled
+                data_s = self._before_s[variant] + np.minimum(settled, self._pass_s[variant])
+                values[columns.settle_data_column(band, truth=truth).name] = data_s
         return values
 
     def _floor_flags(self, chunk: Chunk, variant: np.ndarray) -> np.ndarray:
@@ -238,14 +207,28 @@ def _data_before_start_s(study: Study) -> np.ndarray:
     return column.compute(lambda keys: study.samples_before(study.rate_hz, *keys)) / study.rate_hz
 
 
-def _zip_axes(vector: Any) -> Any:
-    return zip("enu", vector, strict=True)
+def _attitude_values(observation: Observation) -> dict[str, np.ndarray]:
+    """Return attitude, heading and the filter's 1 sigma of an observation by column."""
+    angles = {"pitch": observation.pitch, "roll": observation.roll, "yaw": observation.yaw}
+    values = {f"{name}_deg": np.asarray(value) / DEG for name, value in angles.items()}
+    # Twice, because a tiny negative angle is rounded to 360.
+    values["heading_deg"] = np.mod(np.mod(-values["yaw_deg"], 360.0), 360.0)
+    sigmas = zip("enu", observation.sigma, strict=True)
+    return values | {f"sigma_{axis}_arcmin": sigma / ARCMIN for axis, sigma in sigmas}
 
 
-def nullable_array(values: Any) -> pa.Array:
-    """Return numbers of any shape as a column, null if they are not finite."""
-    flat = np.asarray(values, dtype=float).ravel()
-    return pa.array(flat, mask=~np.isfinite(flat))
+def _error_values(observation: Observation) -> dict[str, Any]:
+    """Return the misalignment of an observation by column."""
+    phi = zip("enu", observation.phi, strict=True)
+    return {f"phi_{axis}_arcmin": value / ARCMIN for axis, value in phi}
+
+
+def _to_column(values: Any) -> Any:
+    """Return values of any shape as a column; numbers that are not finite are null."""
+    if isinstance(values, list | pa.Array):
+        return values
+    flat = np.asarray(values).ravel()
+    return pa.array(flat, mask=~np.isfinite(flat)) if flat.dtype.kind == "f" else pa.array(flat)
 
 
 def replace_column(table: pa.Table, name: str, values: pa.Array) -> pa.Table:

@@ -25,7 +25,6 @@ from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads, t
 from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
-from sinsjax.execution.directory import FileState
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.success import require_floor
 from sinsjax.execution.tables import TableBuilder
@@ -50,7 +49,7 @@ class Job(NamedTuple):
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
-        manifest_state: state of the directory's manifest when it was checked.
+        manifest_state: content of the directory's manifest when it was checked.
         source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
         notes: further information for the user, one line each.
@@ -65,7 +64,7 @@ class Job(NamedTuple):
     directory: Path | None = None
     overwrite: bool = False
     resume: bool = False
-    manifest_state: FileState | None = None
+    manifest_state: bytes | None = None
     source: str | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

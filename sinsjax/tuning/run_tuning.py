@@ -146,7 +146,8 @@ def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
     Raises:
         InputError: the directory cannot be used.
     """
-    taken = places.existing_names(directory, _NAMES)
+    places.check_directory(directory)
+    taken = [name for name in _NAMES if (directory / name).exists()]
     if taken and not is_tuning(directory):
         raise InputError(
             f"{directory}: holds a {taken[0]} that is not of a tuning run (give another directory)"

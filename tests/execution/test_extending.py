@@ -1,6 +1,5 @@
 """Extending results by draws gives the rows of a sweep with all draws."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -110,16 +109,6 @@ def test_extended_results_are_recovered_without_manifest(tmp_path: Path) -> None
     assert (again["identity"], again["extended_at"]) == (told["identity"], [80])
     assert read_summary(out).num_rows == 300
     assert before.keys() == {n for n in modification_times(out) if "part" in n}
-
-
-@pytest.mark.nightly
-def test_extension_of_manifest_without_extended_at_keeps_identity(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run.run_into(study_with_draws(80), out)
-    manifest = json.loads((out / "manifest.json").read_text())
-    assert "extended_at" not in manifest
-    run.run_into(study_with_draws(90), out, resume=True)
-    assert read_manifest(out)["identity"] == manifest["identity"]
 
 
 @pytest.mark.parametrize(

@@ -63,12 +63,6 @@ def test_rerun_matches_run_of_whole_study(name: str) -> None:
 
 
 @pytest.mark.nightly
-def test_rerun_row_matches_study_run_without_curves() -> None:
-    study = make_study("worlds")
-    assert_alone_as_among_others(study, curves=False, runs=[7, 299])
-
-
-@pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_rerun_matches_with_resets_tied_to_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
@@ -126,17 +120,6 @@ def stored() -> StoredRecord:
 def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) -> None:
     given = stored if judged else stored._replace(reference=None)
     assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
-
-
-@pytest.mark.nightly
-@pytest.mark.optimised(False)
-def test_rerun_matches_for_record_with_drawn_errors(stored: StoredRecord) -> None:
-    study = recorded_study(
-        alignment={"phi_e0_deg": 1.0},
-        axes={"reset_times_s": [[], [1.0]]},
-        drawn={"phi_u0_deg": {"uniform": [-3, 3]}},
-    )
-    assert_alone_as_among_others(study, stored, curves=True, runs=[0, 3, 5])
 
 
 # --- directories --------------------------------------------------------------------------------

@@ -273,27 +273,18 @@ def test_estimates_of_version_1_0_are_refused_in_one_line(tmp_path: Path) -> Non
         read_summary(tmp_path)
 
 
-@pytest.mark.parametrize("left", ["no directory", "an empty one", "one that holds no part"])
+@pytest.mark.parametrize("left", ["no directory", "one that holds no part"])
 def test_directory_without_parts_is_refused_in_one_line(tmp_path: Path, left: str) -> None:
     out = tmp_path / "out"
-    if left != "no directory":
-        for dataset in ("summary", "curves"):
-            (out / dataset).mkdir(parents=True)
     if left == "one that holds no part":
+        (out / "summary").mkdir(parents=True)
         (out / "summary" / ".part-0000-000000.parquet.77.tmp").write_bytes(b"PAR1")
-    for read in (
-        lambda: read_summary(out),
-        lambda: read_summary(out, ["status"]),
-        lambda: read_summary(out, run_ids=[1]),
-        lambda: read_summary(out).num_rows,
-    ):
-        with pytest.raises(InputError, match="out: contains no results"):
-            read()
-    for run_ids in (None, [1]):
-        assert read_curves(out, run_ids).num_rows == 0
+    with pytest.raises(InputError, match="out: contains no results"):
+        read_summary(out)
+    assert read_curves(out, [1]).num_rows == 0
 
 
-@pytest.mark.parametrize("content", [None, b"", b"{", b"\x80", b"[]", b"null", b"3"])
+@pytest.mark.parametrize("content", [None, b"{", b"null"])
 def test_unreadable_manifest_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / "manifest.json").write_bytes(content)
