@@ -204,7 +204,7 @@ def propose_clock(
     given, dates = answers.get("time_column"), table.dates
     numbers = table.numbers
     names = [
-        name for name in table.names
+        name for name in filter(None, table.names)
         if name == given or name not in taken and table.names.count(name) == 1
         and (name in dates or name in numbers and _TIME_NAME.search(name))
     ]  # fmt: skip

@@ -19,6 +19,15 @@ _STUDY: dict[str, Any] = {
     "coarse": {"coarse_duration_s": 1.0},
 }
 _G, _RATE = 9.8, 10.0
+_HEADS = [
+    "t a b c d e f",
+    "time_s gyro_x gyro_y gyro_z accel_x accel_y accel_z",
+    "stamp_ms wx_dps wy_dps wz_dps ax_mps2 ay_mps2 az_mps2",
+    "TimeUS GyrX GyrY GyrZ AccX AccY AccZ",
+    "tow dtheta_front dtheta_neg_right dtheta_down dv_x_(g) dv_y_(g) dv_z_(g)",
+    "sec nanosec pitch_rate roll_rate yaw_rate f1 f2",
+]
+"""Names of a log's columns."""
 
 
 class Case(NamedTuple):
@@ -40,13 +49,14 @@ def record_cases(draw: st.DrawFn) -> Case:
     """Draw a record of four seconds at rest in any layout, with some changes."""
     quantity = draw(st.sampled_from(list(GYRO_UNITS)))
     time_unit = draw(st.sampled_from(list(TIME_UNITS)))
+    head = draw(st.sampled_from(_HEADS)).split()
     section: dict[str, Any] = {
         "format": draw(st.sampled_from(["csv"] * 6 + ["psins", "parquet"])),
         "quantity": quantity,
-        "time_column": "t",
+        "time_column": head[0],
         "time_unit": time_unit,
-        "gyro_columns": ["a", "b", "c"],
-        "accel_columns": ["d", "e", "f"],
+        "gyro_columns": head[1:4],
+        "accel_columns": head[4:],
         "gyro_unit": draw(st.sampled_from(list(GYRO_UNITS[quantity]))),
         "accel_unit": draw(st.sampled_from(list(ACCEL_UNITS[quantity]))),
     }
@@ -59,12 +69,16 @@ def record_cases(draw: st.DrawFn) -> Case:
     if draw(st.booleans()):
         rate_hz = draw(st.sampled_from([10.0, 10.0, 9.9, 100.0, 1e-3]))
         study["study"] = study["study"] | {"rate_hz": rate_hz}
-    lines = _psins_rows() if section["format"] == "psins" else _csv_rows(draw, quantity, section)
+    lines = (
+        _psins_rows() if section["format"] == "psins" else _csv_rows(draw, quantity, section, head)
+    )
     record = _change_rows(draw, lines)
     return Case(study, record, _draw_reference(draw) if draw(st.booleans()) else None)
 
 
-def _csv_rows(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[list[str]]:
+def _csv_rows(
+    draw: st.DrawFn, quantity: str, section: dict[str, Any], head: list[str]
+) -> list[list[str]]:
     unit = str(section.get("gyro_unit")), str(section.get("accel_unit"))
     gyro = GYRO_UNITS[quantity].get(unit[0], 1.0)
     accel = ACCEL_UNITS[quantity].get(unit[1], 1.0)
@@ -72,7 +86,7 @@ def _csv_rows(draw: st.DrawFn, quantity: str, section: dict[str, Any]) -> list[l
     force, rate = _G * interval_factor / accel, 7.3e-5 * interval_factor / gyro
     begin = draw(st.sampled_from([0.0, 1000.0, -5.0, 1.7e9]))
     scale = TIME_UNITS.get(str(section.get("time_unit")), 1.0)
-    rows = [["t", "a", "b", "c", "d", "e", "f"]]
+    rows = [head]
     for k in range(40):
         time = begin + (k + 1) / _RATE
         if section.get("time_unit") == "iso":

@@ -4,6 +4,7 @@ import contextlib
 import re
 import signal
 import time
+import tomllib
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ from sinsjax.execution.results import Results, read_curves, read_summary
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import CONTROL
+from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.study import Study
@@ -192,12 +194,16 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
 
 
 def check_record(folder: Path, case: records.Case) -> None:
-    """Read a record and its reference as `align` does before compilation."""
+    """Describe a record as `init record` does; read it and its reference as `align` does."""
     suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
     record, reference = folder / f"r{suffix}", folder / "reference.csv"
     record.write_bytes(case.record)
     if case.reference is not None:
         reference.write_bytes(case.reference)
+    try:
+        tomllib.loads(make_study_text(record, folder / "its.toml"))
+    except InputError as error:
+        check_error_lines(error, record)
     try:
         study = study_from_dict(case.study, "align")
     except InputError as error:

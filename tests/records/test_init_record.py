@@ -111,6 +111,9 @@ CLEAN = {
     "increments": ("flu", "time_s", 1, "dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE),
     "arcsec": ("flu", "time_s", 1, "DeltaAngle@ (arcsec)", DEG / 3600 * RATE, "DV@ (m/s)", RATE),
     "mixed": ("flu", "time_s", 1, "gyro_@ (rad/s)", 1, "dv_@ (m/s)", RATE),
+    "units behind": ("flu", "time_ms", 1e3, "g@_dps", DEG, "a@_mps2", 1),
+    "words of units": ("frd", "tow", 1e3, "gyro_@_rad_s", 1, "accel_@_m_s2", 1),
+    "axes before": ("flu", "t", 1, "@_gyro_mrad/s", MILLI, "@ Acc (cm/s2)", 0.01),
 }
 """Axes, and the name and unit of time, gyros and accelerometers."""
 
@@ -120,7 +123,7 @@ def clean_logs(body: Samples, folder: Path) -> dict[str, Path]:
     logs: dict[str, tuple[list[np.ndarray], Sequence[str]]] = {}
     for name, (axes, time, to_time, gyro, rad_per_s, accel, m_per_s2) in CLEAN.items():
         g, a = in_axes(body, axes)
-        letters = {"PX4": "012", "ArduPilot": "XYZ"}.get(name, "xyz")
+        letters = {"PX4": "012", "ArduPilot": "XYZ", "axes before": "123"}.get(name, "xyz")
         names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in letters]
         logs[name] = [TIME * to_time, g / rad_per_s, a / m_per_s2], [time, *names]
     (gyro, accel), (frd, _), (flu, flu_accel) = body, in_axes(body, "frd"), in_axes(body, "flu")
@@ -129,6 +132,8 @@ def clean_logs(body: Samples, folder: Path) -> dict[str, Path]:
     logs["roll rate"] = [TIME, gyro[:, [1, 0, 2]] / DEG, accel], ["time", *turns, *ways]
     frd_names = [f"gyro_{way} (rad/s)" for way in ("front", "right", "down")]
     logs["two orders"] = [TIME, frd, accel], ["time", *frd_names, *ways]
+    attitude = np.tile([1.0, -2.0, -35.0], (len(TIME), 1))
+    logs["beside attitude"] = [TIME, flu, flu_accel, attitude], [*UNITS, "pitch", "roll", "yaw"]
     negative = [n.replace("_y", "_neg_y") for n in UNITS]
     rfu = np.column_stack([gyro, accel])
     logs["negative"] = [TIME, rfu * [1, -1, 1, 1, -1, 1]], [f"rfu_{n}" for n in negative]
@@ -163,6 +168,7 @@ def test_stated_unit_holds_and_gyros_without_north_level(body, sinsjax, tmp_path
     path = write(tmp_path / "log.csv", [TIME, mems(body), body[1]], [f"rfu_{n}" for n in names])
     study, questions, (doubt,) = read_study(path)
     assert [*questions] == ["latitude_deg"] and "hides Earth rate" in doubt
+    assert "gyros give" not in questions["latitude_deg"]
     assert study["record"]["gyro_unit"] == "rad_per_s"
     assert study["alignment"] == {"method": "level"}
     row = align(path)
@@ -288,13 +294,52 @@ def test_axes_that_names_do_not_tell_or_gravity_denies_are_a_question(
     assert study["record"]["axes_order"] == "?" and asked in questions["axes_order"]
 
 
-def test_rows_of_sensors_in_turn_are_refused_with_the_way_on(tmp_path):
-    rows = [f"Uncal{('Accel', 'Gyro')[k % 2]},{k},1,2,3,4,5" for k in range(100)]
+@pytest.mark.parametrize(
+    ("column", "labels"),
+    [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("0", "1"))],
+)
+def test_rows_of_sensors_in_turn_are_refused_with_the_way_on(column, labels, tmp_path):
+    rows = [f"{labels[k % 2]},{k},1,2,3,4,5,6" for k in range(100)]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(["type,ms,x,y,z,a,b", *rows]))
+    path.write_text("\n".join([",".join([column, *NAMES]), *rows]))
     with pytest.raises(InputError) as caught:
         make_study_text(path, Path("x.toml"))
-    assert_named(str(caught.value), str(path), "UncalAccel, UncalGyro", "nearest stamp")
+    assert_named(str(caught.value), str(path), ", ".join(labels), "nearest stamp")
+
+
+def test_increments_tell_their_unit_once_the_rate_is_known(body, tmp_path):
+    names = [f"{n}_{a}" for n in ("dtheta", "dv") for a in XYZ]
+    path = write(tmp_path / "log.csv", [v / RATE for v in in_axes(body, "flu")], names)
+    study, questions, (doubt,) = read_study(path)
+    assert {"rate_hz", "gyro_unit", "accel_unit"} <= {*questions} and "length is unknown" in doubt
+    assert study["study"]["rate_hz"] == "?" and "Earth" not in questions["gyro_unit"]
+    study, questions, doubts = read_study(path, study__rate_hz=RATE)
+    assert [*questions] == ["latitude_deg", "gyro_unit"] and not doubts
+    assert study["record"]["accel_unit"] == "m_per_s"
+    assert re.search(r'"rad": mean rate 15\S* deg/h, 1 times', questions["gyro_unit"])
+    assert_truth(align(path, study__rate_hz=RATE, record__gyro_unit="rad"))
+
+
+@pytest.mark.parametrize(
+    ("time", "gyro", "accel", "told"),
+    [
+        (1.0, 0.0, 1.0, "has Earth rate been removed"),
+        (1.0, 1.0, 0.0, "no axis is near the vertical"),
+        (np.nan, 1.0, 1.0, "no column has times"),
+        (0.0, 1.0, 1.0, "time repeats"),
+        (1e6, 1.0, 1.0, "named as s, but its steps"),
+        (1.0, np.nan, 1.0, "less than a second"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_log_that_tells_nothing_is_a_question_or_a_line(time, gyro, accel, told, body, tmp_path):
+    rates, forces = in_axes(body, "flu")
+    path = write(tmp_path / "log.csv", [TIME * time, gyro * rates, accel * forces], UNITS)
+    try:
+        text = " ".join(make_study_text(path, Path("x.toml")).replace("\n#  ", "").split())
+    except InputError as error:
+        text = str(error)
+    assert told in text and "gyros give" not in text
 
 
 # --- the rest of the study
