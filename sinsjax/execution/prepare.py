@@ -5,7 +5,7 @@ checks nothing again. Nothing is created or changed.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -77,10 +77,7 @@ def prepare_job(
     if job.directory is not None:
         resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
     job = _choose_curves(job, _name_of(source), options.max_curve_runs)
-    job, found = add_record(job, record, reference)
-    if found is not None:
-        study, doubts = checks.level_only(job.study, found)
-        job = job._replace(study=study, warnings=(*found.warnings, *doubts))
+    job = add_record(job, record, reference, checks.level_only)
     if job.directory is not None and job.resume:
         job = resume.continue_job(job)
     job = job._replace(notes=(*list_ignored_sections(job.study), *job.notes))
@@ -134,12 +131,22 @@ def load_job(
 
 
 def add_record(
-    job: Job, record: StoredRecord | Path | str | None, reference: Path | str | None
-) -> tuple[Job, checks.RecordCheck | None]:
-    """Read the record of a job, if it has one, and check it at its own rate."""
+    job: Job,
+    record: StoredRecord | Path | str | None,
+    reference: Path | str | None,
+    adapt: Callable[[Study, checks.RecordCheck], tuple[Study, list[str]]],
+) -> Job:
+    """Read the record of a job, if it has one, and check it at its own rate.
+
+    Args:
+        job: job of `load_job`.
+        record: inertial record of a recorded study, or its file.
+        reference: file of the reference attitude of a record that is a file.
+        adapt: `checks.level_only` or `checks.require_north`, for gyros that hide north.
+    """
     study = job.study
     if record is None:
-        return job, None
+        return job
     if isinstance(record, Path | str):
         record = _read_stored_record(study, record, reference)
     if not isinstance(record, StoredRecord):
@@ -148,7 +155,9 @@ def add_record(
             f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
         )
     study = with_rate(study, record.record.rate_hz)
-    return job._replace(study=study, stored=record), checks.check_record(study, record)
+    found = checks.check_record(study, record)
+    study, doubts = adapt(study, found)
+    return job._replace(study=study, stored=record, warnings=(*found.warnings, *doubts))
 
 
 def finish_job(job: Job, expected_cost: Forecast) -> Job:

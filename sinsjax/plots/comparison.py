@@ -216,11 +216,11 @@ def _draw_panel(axes: Any, name: str, lines: Panel, x: np.ndarray, joined: str) 
     if known.size and known.min() > 0 and known.max() > _RANGE * known.min():
         set_log_scale(axes, float(known.min()), float(known.max()))
     for i, line in enumerate(lines):
-        beside = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
+        shifted = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
         style = {"color": line_colour(i), "label": line, "capsize": 2.5, "markersize": 5}
         mark = _MARKS[i % len(_MARKS)] + joined
-        axes.errorbar(beside, value[i], yerr=bars[:, i], fmt=mark, **style)
-        never = beside[np.isposinf(estimates[i, :, 0])]
+        axes.errorbar(shifted, value[i], yerr=bars[:, i], fmt=mark, **style)
+        never = shifted[np.isposinf(estimates[i, :, 0])]
         height = np.full(never.size, 0.97)  # of the axes: their upper edge
         edge = axes.get_xaxis_transform()
         if never.size:

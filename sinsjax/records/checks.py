@@ -342,13 +342,12 @@ def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Itera
         )
         yield Finding(False, text)
     elif is_quiet:
-        measured = math.atan2(up, means.vertical_drift)
         # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
         sigma = math.hypot(uncertainty / 3, bias, _BIAS_PER_ARW * noise / 60) / earth
-        if abs(measured - expected.latitude) > 5 * sigma:
+        if abs(means.latitude - expected.latitude) > 5 * sigma:
             text = (
-                f"gyros and accelerometers give a latitude of {measured / DEG:.4g} deg, give or"
-                f" take {sigma / DEG:.2g}, and not {expected.latitude / DEG:.6g}: is [earth]"
+                f"gyros and accelerometers give a latitude of {means.latitude / DEG:.4g} deg, give"
+                f" or take {sigma / DEG:.2g}, and not {expected.latitude / DEG:.6g}: is [earth]"
                 " latitude_deg right?"
             )
             yield Finding(False, text)

@@ -58,6 +58,11 @@ class Means(NamedTuple):
         """Magnitude of the mean rate."""
         return math.hypot(self.vertical_rate, self.vertical_drift)
 
+    @property
+    def latitude(self) -> float:
+        """Latitude at which the mean rate is Earth rate, rad."""
+        return math.atan2(self.vertical_rate, self.vertical_drift)
+
 
 def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Means:
     """Return the means of a span of a record that lacks no sample in it, at some gravity, m/s^2."""

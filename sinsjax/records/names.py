@@ -73,8 +73,7 @@ class Triad(NamedTuple):
         names: columns in the order x, y, z, or right, front, up if the names give directions.
         unit: the unit that the names or a row of units state.
         signs: sign of each column.
-        has_directions: whether the names give directions.
-        are_turns: whether the columns are named pitch, roll and yaw.
+        has_directions: whether the names give directions, as pitch, roll and yaw do of gyros.
         are_increments: whether the names indicate increments.
         in_navigation_frame: whether the names state a navigation frame.
     """
@@ -83,7 +82,6 @@ class Triad(NamedTuple):
     unit: Unit
     signs: tuple[float, float, float]
     has_directions: bool = False
-    are_turns: bool = False
     are_increments: bool = False
     in_navigation_frame: bool = False
 
@@ -214,17 +212,15 @@ def _split_unit(words: list[str], known: Unit, sensor: str) -> tuple[list[str], 
 
 def _split_axis(words: list[str]) -> tuple[list[str], str] | None:
     """Return the words of a name without its axis, and the axis; None without one."""
-    axes = {*"xyz0123", *_DIRECTIONS, *_TURNS}
     if turns := [word for word in words if word in _TURNS]:
         return [word for word in words if word != turns[0]], turns[0]
-    for place in (len(words) - 1, 0, len(words) - 2):  # also as in X Accel and acc_x_raw
-        is_last = place == len(words) - 1
-        is_letter = 0 <= place < len(words) and (is_last or words[place] in "xyz0123")
-        if len(words) > 1 and is_letter and words[place] in axes - _TURNS.keys():
-            return [*words[:place], *words[place + 1 :]], words[place]
-        if len(words) > 1 and 0 <= place < len(words) and len(words[place]) > 1:
-            if words[place] in _DIRECTIONS:
-                return [*words[:place], *words[place + 1 :]], words[place]
+    last = len(words) - 1
+    for place in (last, 0, last - 1) if last > 0 else ():  # also as in X Accel and acc_x_raw
+        word = words[place]
+        # Away from the end a single letter may be anything but x, y, z or a digit.
+        is_direction = word in _DIRECTIONS and (place == last or len(word) > 1)
+        if is_direction or word in {*"xyz0123"}:
+            return [*words[:place], *words[place + 1 :]], word
     if words and (match := re.fullmatch(r"(.*[a-z])([xyz0-3])", words[-1])):
         return [*words[:-1], match[1]], match[2]
     return None
@@ -232,20 +228,14 @@ def _split_axis(words: list[str]) -> tuple[list[str], str] | None:
 
 def _make_triad(stem: str, unit: Unit, columns: Mapping[str, tuple[str, float]]) -> Triad | None:
     """Return the triad of columns by axis; None if one is missing."""
-    increments, navigation = bool(_INCREMENTS.search(stem)), bool(_NAVIGATION.search(stem))
-    by_turn = {_TURNS[axis]: column for axis, column in columns.items() if axis in _TURNS}
-    by_body = {_DIRECTIONS[a]: column for a, column in columns.items() if a in _DIRECTIONS}
-    signed = {axis: (name, sign * way) for (axis, way), (name, sign) in by_body.items()}
-    found: list[tuple[str, float]] = []
-    if len(by_turn) == 3:
-        found = [by_turn[axis] for axis in range(3)]
-    elif len(signed) == 3 == len(by_body):
-        found = [signed[axis] for axis in range(3)]
-    else:
-        letters = next((axes for axes in ("xyz", "012", "123") if {*axes} <= {*columns}), "")
-        found = [columns[axis] for axis in letters]
+    turns = {_TURNS[axis]: column for axis, column in columns.items() if axis in _TURNS}
+    ways = {_DIRECTIONS[a]: column for a, column in columns.items() if a in _DIRECTIONS}
+    signed = {axis: (name, sign * way) for (axis, way), (name, sign) in ways.items()}
+    by_body = turns if len(turns) == 3 else signed if len(signed) == 3 == len(ways) else {}
+    letters = next((axes for axes in ("xyz", "012", "123") if {*axes} <= {*columns}), "")
+    found = [by_body[axis] for axis in range(3)] if by_body else [columns[a] for a in letters]
     if not found:
         return None
     (x, sx), (y, sy), (z, sz) = found
-    turns, directions = len(by_turn) == 3, len(signed) == 3 == len(by_body)
-    return Triad((x, y, z), unit, (sx, sy, sz), directions, turns, increments, navigation)
+    increments, navigation = bool(_INCREMENTS.search(stem)), bool(_NAVIGATION.search(stem))
+    return Triad((x, y, z), unit, (sx, sy, sz), bool(by_body), increments, navigation)

@@ -7,7 +7,7 @@ be answered before anything is aligned.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -138,17 +138,20 @@ def _find_triad(
     problem = f"no column is named as of {_SENSORS[sensor]}."
     if triads:
         problem = f"which of these are the {_SENSORS[sensor]} of one box, in its own axes?"
-    shown: list[Any] = [*triads] or [name for name in table.names if name in table.numbers]
-    means = "; ".join(_describe_columns(table, one) for one in shown)
+    shown: list[tuple[str, ...]] = [triad.names for triad in triads]
+    shown = shown or [(name,) for name in table.names if name in table.numbers]
+    means = "; ".join(_describe_means(table, shown))
     notes[key] = Note("", "", f"{problem} Means: {shorten(means, 400)}")
     return None
 
 
-def _describe_columns(table: Table, columns: Triad | str) -> str:
-    names = [columns] if isinstance(columns, str) else [*columns.names]
-    values = table.read(names, blanks=True)
-    means = " ".join("?" if np.isnan(v).all() else f"{np.nanmean(v):.4g}" for v in values)
-    return f"{', '.join(names)} {means}"
+def _describe_means(table: Table, groups: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the names and means of groups of columns, which are read at once."""
+    names = [*dict.fromkeys(name for group in groups for name in group)]
+    values = dict(zip(names, table.read(names, blanks=True), strict=True))
+    for group in groups:
+        means = ("?" if np.isnan(v := values[n]).all() else f"{np.nanmean(v):.4g}" for n in group)
+        yield f"{', '.join(group)} {' '.join(means)}"
 
 
 def _magnitude(table: Table, triad: Triad) -> float:
@@ -269,7 +272,7 @@ def _gyro_unit(
 
 
 def _rates(mean: float, quantity: str, rate_hz: float) -> str:
-    """Return the mean rate in each candidate unit beside Earth rate, and the line to write."""
+    """Return the mean rate in each candidate unit, over Earth rate too, and the line to write."""
     lines = []
     for unit in GYRO_UNITS[quantity]:
         rate = mean * _rate_factor(unit, rate_hz)
@@ -285,10 +288,9 @@ def _propose_axes(
     axis = int(np.argmax(np.abs(up)))
     pointing = f"{'xyz'[axis]} reads {up[axis]:+.2f} g"
     named = find_named_order([*table.comments, *table.names])
-    if gyro.has_directions or accel.has_directions or gyro.are_turns:
+    if gyro.has_directions or accel.has_directions:
         named, pointing = "rfu", f"up reads {up[2]:+.2f} g"
-        both = accel.has_directions and (gyro.has_directions or gyro.are_turns)
-        if not both:
+        if not (gyro.has_directions and accel.has_directions):
             question = "only one sensor names right, front and up: which axes has the other one?"
             notes["axes_order"] = Note("", "", question)
             return named
@@ -305,9 +307,9 @@ def _propose_axes(
         return order
     candidates = _orders_with_up(axis, is_positive=bool(up[axis] > 0))
     lines = " or ".join(f'axes_order = "{one}"' for one in candidates)
-    question = f"{pointing}, and no name tells which axis points front: {lines}"
+    question = f"{pointing}, and no name states which axis points front: {lines}"
     if abs(up[axis]) < math.cos(30 * DEG):
-        question = f"no axis is near the vertical ({pointing}), and no name tells the axes"
+        question = f"no axis is near the vertical ({pointing}), and no name states the axes"
     notes["axes_order"] = Note("", "", question)
     return candidates[0]
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from sinsjax import analysis
+from sinsjax import analysis, plots
 from sinsjax.execution.results import Results
 from sinsjax.plots.labels import format_value
 from sinsjax.study.study import Study
@@ -113,6 +113,39 @@ class Report(NamedTuple):
     def pictures(self) -> list[Picture]:
         """The figures of the report."""
         return [block for block in self.blocks if isinstance(block, Picture)]
+
+
+class DrawnReport(NamedTuple):
+    """A report with its figures drawn.
+
+    Attributes:
+        source: the results.
+        report: their report.
+        images: PNG files by the name of the figure.
+    """
+
+    source: Results
+    report: Report
+    images: Mapping[str, bytes]
+
+    @classmethod
+    def from_report(cls, source: Results, report: Report) -> "DrawnReport":
+        """Draw the figures of a report."""
+        footer = report.data_footer or source.sample_size_text
+        images = {
+            picture.name: plots.render_png(picture.figure, footer) for picture in report.pictures
+        }
+        return cls(source, report, images)
+
+    @property
+    def definition(self) -> str:
+        """Definition of success."""
+        return describe_success_criterion(self.source.study)
+
+    @property
+    def origin(self) -> str:
+        """The study's file and the version that computed it."""
+        return f"{self.source.config}; computed by sinsjax {self.source.version}"
 
 
 def describe_success_criterion(study: Study) -> str:

@@ -4,12 +4,11 @@ import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
-from typing import NamedTuple
 
 from markdown_it import MarkdownIt
 
 from sinsjax.messages import escape_controls
-from sinsjax.report.base import Block, Report, Table
+from sinsjax.report.base import Block, DrawnReport, Table
 
 _MARKUP = re.compile(r"[\\`*_\[\]<>#|~$&!]|^[-+=]|(?<=\d)[.)](?= )")
 """What Markdown may interpret: marks anywhere, bullets, and the stop of a numbered item."""
@@ -45,26 +44,10 @@ _TERMS = {
 }
 
 
-class Section(NamedTuple):
-    """A report as a part of a page.
-
-    Attributes:
-        report: the report.
-        images: PNG files by the name of the figure.
-        definition: definition of success.
-        origin: the study's file and the version that computed it.
-    """
-
-    report: Report
-    images: Mapping[str, bytes]
-    definition: str
-    origin: str
-
-
-def to_html(title: str, sections: Sequence[Section]) -> str:
+def to_html(title: str, reports: Sequence[DrawnReport]) -> str:
     """Return a self-contained HTML page of some reports."""
     parser = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = parser.render(to_markdown(title, sections))
+    body = parser.render(to_markdown(title, reports))
     name = escape(escape_controls(title))
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{name}</title>'
@@ -73,11 +56,11 @@ def to_html(title: str, sections: Sequence[Section]) -> str:
     )
 
 
-def to_markdown(title: str, sections: Sequence[Section]) -> str:
+def to_markdown(title: str, reports: Sequence[DrawnReport]) -> str:
     """Return some reports as one page of Markdown, with their figures as data addresses."""
     lines = [f"# {escape_markdown(title)}"]
-    lines += dict.fromkeys(escape_markdown(section.definition) for section in sections)
-    for report, images, _, _ in sections:
+    lines += dict.fromkeys(escape_markdown(drawn.definition) for drawn in reports)
+    for _, report, images in reports:
         lines.append(f"## {escape_markdown(report.title)}")
         lines.append(
             "\n".join(
@@ -91,7 +74,7 @@ def to_markdown(title: str, sections: Sequence[Section]) -> str:
     lines.append(
         "\n".join(f"- *{escape_markdown(k)}*: {escape_markdown(v)}." for k, v in _TERMS.items())
     )
-    lines.append("; ".join(dict.fromkeys(escape_markdown(section.origin) for section in sections)))
+    lines.append("; ".join(dict.fromkeys(escape_markdown(drawn.origin) for drawn in reports)))
     return "\n\n".join(lines) + "\n"
 
 

@@ -2,43 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from rich.console import Console
 
-from sinsjax import plots
 from sinsjax.console import print_line
-from sinsjax.execution.results import Results
 from sinsjax.platform.files import atomic_write, make_folder
-from sinsjax.report.base import Report, Table, describe_success_criterion
-from sinsjax.report.markdown import Section, to_html
+from sinsjax.report.base import DrawnReport, Table
+from sinsjax.report.markdown import to_html
 from sinsjax.report.terminal import print_table, print_verdict
 
 FIGURES_FOLDER = "figures"
 """Folder of the figures, in the directory of the results."""
-
-
-class DrawnReport(NamedTuple):
-    """A report with its figures drawn.
-
-    Attributes:
-        source: the results.
-        report: their report.
-        images: PNG files by the name of the figure.
-    """
-
-    source: Results
-    report: Report
-    images: Mapping[str, bytes]
-
-    @classmethod
-    def from_report(cls, source: Results, report: Report) -> "DrawnReport":
-        """Draw the figures of a report."""
-        footer = report.data_footer or source.sample_size_text
-        images = {
-            picture.name: plots.render_png(picture.figure, footer) for picture in report.pictures
-        }
-        return cls(source, report, images)
 
 
 def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) -> None:
@@ -52,7 +26,7 @@ def print_report(drawn: DrawnReport, console: Console, *, full: bool = False) ->
     if not full:
         return
     console.print()
-    print_line(console, describe_success_criterion(source.study), wrap=True)
+    print_line(console, drawn.definition, wrap=True)
     for block in report.blocks:
         if isinstance(block, str):
             print_line(console, block, wrap=True)
@@ -81,15 +55,6 @@ def write_html_page(path: Path, title: str, reports: Sequence[DrawnReport]) -> N
     Raises:
         InputError: the page cannot be written.
     """
-    sections = [
-        Section(
-            drawn.report,
-            drawn.images,
-            describe_success_criterion(drawn.source.study),
-            f"{drawn.source.config}; computed by sinsjax {drawn.source.version}",
-        )
-        for drawn in reports
-    ]
     make_folder(path.parent)
     with atomic_write(path) as file:
-        file.write(to_html(title, sections).encode())
+        file.write(to_html(title, reports).encode())

@@ -105,7 +105,7 @@ def _layout_table(
     for name, *cells in zip(header, *rows, strict=True):
         lines = Text("\n").join(map(screen.literal_text, name.split("\n")))
         rigid = bool(cells) and all(" " not in c or _INTERVAL.fullmatch(c) for c in cells)
-        table.add_column(lines, no_wrap=False, min_width=_least_width([name, *cells], rigid))
+        table.add_column(lines, min_width=_least_width([name, *cells], rigid))
     for row in rows:
         table.add_row(*(_highlight(screen.literal_text(cell)) for cell in row))
     return table

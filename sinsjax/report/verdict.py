@@ -7,6 +7,7 @@ draws; its numbers are those of its own runs, as anybody computes them from the 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,23 +185,35 @@ class SweepOutcome:
         capped_s = np.minimum(self.time_s, self.unsettled_time_s).mean(axis=1)
         settled = np.isfinite(self.time_s).mean(axis=1)
         found = []
-        for option in range(len(self.time_s)):
+        for option in (option for option in range(len(self.time_s)) if option != self.best):
             later = analysis.mean_difference(capped_s[option], capped_s[self.best])
             fewer = analysis.mean_difference(settled[self.best], settled[option])
-            if option != self.best and later.low <= 0 and not fewer.low > 0:
+            if later.low <= 0 and not fewer.low > 0:
                 found.append(option)
         return sorted(found, key=lambda option: capped_s[option].mean())
 
-    def held_out_runs(self) -> tuple[NDArray, NDArray]:
-        """Return settling times on draws that did not choose the option, and their clusters.
+    @cached_property
+    def held_out(self) -> "HeldOut | None":
+        """Settling on draws that did not choose the option; None with one option or few draws.
 
         Each half of the draws is judged with the option that is best on the other half.
         """
+        if self.n_draws < _MIN_DRAWS_TO_SPLIT or len(self.time_s) == 1:
+            return None
         chosen = held_out_choices(
             self.time_s, lambda half: best_option(half, self.unsettled_time_s)
         )
-        times_s = self.time_s[chosen, :, np.arange(self.n_draws)]
-        return times_s.ravel(), np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
+        times_s = self.time_s[chosen, :, np.arange(self.n_draws)].ravel()
+        draws = np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
+        share = analysis.share(np.isfinite(times_s), draws)
+        return HeldOut(share, analysis.mean(times_s, draws))
+
+
+class HeldOut(NamedTuple):
+    """Settling on draws that did not choose the option: share of the runs, and mean time, s."""
+
+    share: Estimate
+    mean_s: Estimate
 
 
 def study_title(source: Results) -> str:
@@ -370,8 +383,8 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     best, study = outcome.best, outcome.source.study
     if study.is_recorded:
         yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    elif (text := describe_held_out(outcome)) and not _agrees_when_held_out(outcome):
-        yield Fact("Caution", text, True)
+    elif not _agrees_when_held_out(outcome):
+        yield Fact("Caution", describe_held_out(outcome), True)
     ok, off = (int(x[best].sum()) for x in (np.isfinite(outcome.time_s), outcome.off_floor))
     if off > _RARE * ok:
         number = "All" if off == ok else f"{off:,} of the"
@@ -387,22 +400,19 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
 def describe_held_out(outcome: SweepOutcome) -> str:
     """Settling on draws that did not choose the option, in words; empty if there are too few."""
-    if outcome.n_draws < _MIN_DRAWS_TO_SPLIT or len(outcome.time_s) == 1:
+    if (found := outcome.held_out) is None:
         return ""
-    times_s, draws = outcome.held_out_runs()
-    share = analysis.share(np.isfinite(times_s), draws)
-    text = f"{format_percent(share)} % of the runs settle"
-    if share.value:
-        text += f", after {format_estimate(analysis.mean(times_s, draws), 's', 0)}"
+    text = f"{format_percent(found.share)} % of the runs settle"
+    if found.share.value:
+        text += f", after {format_estimate(found.mean_s, 's', 0)}"
     return f"on draws that did not choose the option, {text}"
 
 
 def _agrees_when_held_out(outcome: SweepOutcome) -> bool:
     """Whether settling on draws that did not choose lies within the intervals of the best."""
-    times_s, draws = outcome.held_out_runs()
     own = outcome.success_share(outcome.best), outcome.mean_settling_s(outcome.best)
-    held_out = analysis.share(np.isfinite(times_s), draws), analysis.mean(times_s, draws)
-    return not any(x.value < y.low or x.value > y.high for x, y in zip(held_out, own, strict=True))
+    pairs = zip(outcome.held_out or own, own, strict=True)
+    return not any(found.value < best.low or found.value > best.high for found, best in pairs)
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:

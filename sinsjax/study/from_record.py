@@ -186,7 +186,7 @@ def _expected_values(
 ) -> StationaryValues:
     """Return the measurements to expect; an unknown latitude is that of the measurements."""
     known_deg = latitude_deg if latitude_deg is not None else header_deg
-    latitude = math.atan2(means.vertical_rate, means.vertical_drift)
+    latitude = means.latitude
     if means.turns is not None:
         latitude = math.acos(min(1.0, means.turns.drift / EARTH_RATE))
     return StationaryValues.with_biases(
@@ -351,8 +351,7 @@ def _earth_section(proposed: _ProposedFile, means: Means | None, given_deg: floa
     if given_deg is None:
         question = "the latitude of the place in degrees, negative in the south"
         if means is not None and means.turns is None:
-            angle = math.atan2(means.vertical_rate, means.vertical_drift) / DEG
-            question += f" (the gyros give {angle:.1f}; their mean rate is"
+            question += f" (the gyros give {means.latitude / DEG:.1f}; their mean rate is"
             question += f" {means.magnitude / EARTH_RATE:.3g} times Earth rate)"
         note = Note("", "", question)
     lines += _format_key_lines("latitude_deg", given_deg, note)

@@ -60,10 +60,7 @@ def prepare_tuning(
     require_tune(job.study)
     if job.directory is not None:
         check_directory(job.directory, overwrite=job.overwrite, resume=job.resume)
-    job, found = add_record(job, record, reference)
-    if found is not None:
-        study, doubts = checks.require_north(job.study, found)
-        job = job._replace(study=study, warnings=(*found.warnings, *doubts))
+    job = add_record(job, record, reference, checks.require_north)
     if job.directory is not None and job.resume:
         _check_same_study(job)
     job = finish_job(job, forecast.forecast_tuning(job.study))
