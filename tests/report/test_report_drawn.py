@@ -65,7 +65,7 @@ def test_drawn_scalars_are_binned_with_statistics_per_bin(drawn_source: Results)
     values = analysis.numeric_column(rows, "phi_u0_deg")
     bins = bin_medians(values, 6)
     window = analysis.numeric_column(rows, "phi_u_mean_arcmin")
-    table = analysis.summarise(own.table, ["phi_u0_deg"], ["phi_u_mean_arcmin_mean"]).to_pylist()
+    table = analysis.summarise(own.summary, ["phi_u0_deg"], ["phi_u_mean_arcmin_mean"]).to_pylist()
     assert [row["phi_u0_deg"] for row in table] == list(medians)
     for row in table:
         mine = bins == row["phi_u0_deg"]
