@@ -48,14 +48,14 @@ _LEVELS = {
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        references: (methods, runs, 3) misalignment of methods of sinsjax at the end of the same
-            runs, rad; NaN for runs that failed.
+        references: (runs, 3) misalignment of methods of sinsjax at the end of the same runs, rad;
+            NaN for runs that failed.
     """
     phi = np.stack(_misalignments(q_true, given.attitude), axis=-1)
     others = [(words, np.stack(_misalignments(q_true, q), axis=-1)) for words, q in _read(given)]

@@ -345,30 +345,30 @@ def text(*rows: str, header: str = HEADER, first: str = "# study = DIGEST") -> s
 
 FAULTS = {
     "digest": (text(ROW, first="# study = 0123456789abcdef"), "is of another study: digest 0123"),
-    "no digest": (text(ROW, first=""), "has no digest of its study (a column 'study' with "),
+    "no digest": (text(ROW, first=""), "is of another study: digest none there"),
     "digest of a row": (
         text(f"{ROW},DIGEST", f"{ROW},0123", header=f"{HEADER},study"),
-        "is of another study: digest 0123 there",
+        "is of another study: digest 0123, ",
     ),
-    "digests": (text(ROW, first="# study = DIGEST\n# study = DIGEST"), "has two lines '# study"),
+    "digests": (text(ROW, first="# study = DIGEST\n# study = DIGEST"), "repeats '# study =' in its header"),
     "frames": (
         text(ROW, first="# study = DIGEST\n# frame = enu\n% frame: ned"),
-        "has two lines '# frame = ...' (keep one)",
+        "repeats '# frame =' in its header",
     ),
-    "column twice": (text(f"{ROW},1", header=f"{HEADER},run_id"), "has two columns 'run_id'"),
+    "column twice": (text(f"{ROW},1", header=f"{HEADER},run_id"), "repeats 'run_id' in its header"),
     "duplicate": (
         text(ROW, "1,40,50,4,-7", ROW),
-        "row 5: repeats run_id 0 at 40 s (row 3 has it)",
+        "row 5: repeats its run_id and time_s",
     ),
-    "unknown": (text("777,40,50,4,-7"), "row 3: no run of the export has this run_id (777;"),
-    "run": (text(ROW, "0.5,40,50,4,-7"), "row 4: no run of the export has this run_id (0.5;"),
+    "unknown": (text("777,40,50,4,-7"), "row 3: no run of the export has this run_id (see initial.csv)"),
+    "run": (text(ROW, "0.5,40,50,4,-7"), "row 4: no run of the export has this run_id (see initial.csv)"),
     "variant": (
         text("0,0.5,40,50,4,-7", header=f"draw_id,variant_id{HEADER[6:]}"),
-        "row 3: no run of the export has this draw_id and variant_id (0, 0.5;",
+        "row 3: no run of the export has this draw_id and variant_id (see",
     ),
     "draw": (
         text("0.25,1,40,50,4,-7", header=f"draw_id,variant_id{HEADER[6:]}"),
-        "row 3: no run of the export has this draw_id and variant_id (0.25, 1;",
+        "row 3: no run of the export has this draw_id and variant_id (see",
     ),
     "nan": (
         text("0,40,nan,4,-7"),
@@ -376,12 +376,12 @@ FAULTS = {
     ),
     "word": (text("0,40,north,4,-7"), "Row #3: CSV conversion error to double: invalid value"),
     "large": (text(ROW, "1,40,50,1.1e6,-7"), "row 4: an angle is beyond 1e+06 deg"),
-    "late": (text("0,41,50,4,-7"), "row 3: time_s = 41 is beyond its run, 0 to 40 s"),
+    "late": (text("0,41,50,4,-7"), "row 3: time_s is beyond its run, 0 to 40 s"),
     "cut": (text(ROW, "1,39,50,4,-7", "1,40,50"), "Row #5: Expected 5 columns, got 3"),
     "column": (text(ROW, header=HEADER.replace("time_s", "time")), "lacks time_s (README.txt"),
     "unit": (
         text(ROW, header=HEADER.replace("pitch_deg", "pitch_rad")),
-        "column 'pitch_rad': must be one of pitch_deg, roll_deg",
+        "lacks pitch_deg (README.txt",
     ),
     "sigma": (text(f"{ROW},0", header=f"{HEADER},sigma_yaw_deg"), "row 3: sigma_yaw_deg must be"),
     "quaternion": (
@@ -411,7 +411,7 @@ def test_pipe_or_another_frame_than_that_of_the_file_is_refused(
     os.mkfifo(tmp_path / "pipe.csv")
     path = tmp_path / "mine.csv"
     path.write_text(text(ROW, first=f"# study = {arena.digest}\n# frame = enu"))
-    for file, message in (("pipe.csv", "is not a regular file"), ("mine.csv", "--frame is ned")):
+    for file, message in (("pipe.csv", "is not a regular file"), ("mine.csv", "frame: 'enu and ned'")):
         with pytest.raises(InputError, match=rf"{re.escape(file)}: .*{message}"):
             score_results(arena.export, tmp_path / file, against=arena.sweep, frame="ned")
 
