@@ -94,7 +94,7 @@ def rerun_stored_run(
     runs = study.n_draws * study.n_variants
     if not 0 <= run_id < runs:
         raise InputError(f"{directory}: has no run {run_id} (runs are numbered 0 to {runs - 1})")
-    stored = read_summary(directory, run_ids=[run_id])
+    stored = read_summary(directory, run_ids=[run_id], verify=False)  # verified above
     if not stored.num_rows:
         raise InputError(f"{directory}: run {run_id} has no row yet (continue with `--resume`)")
     if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
