@@ -109,7 +109,6 @@ def source_label(config: Path, changes: list[str] | None) -> Path | str:
 
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     """Return the planned runs of a study and their cost: steps, time, memory and disk."""
-    from sinsjax.execution import checks
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
@@ -138,12 +137,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
     lines += describe_rounding(study)
-    describe = (
-        checks.describe_process_noise,
-        checks.describe_measurement_noise,
-        checks.describe_feedback_interval,
-    )
-    lines += [f"{line}." for line in (text(study) for text in describe) if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 

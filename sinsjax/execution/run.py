@@ -13,6 +13,7 @@ import pyarrow as pa
 from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import resume, schemas, stopping
+from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
@@ -204,7 +205,9 @@ def run_into(  # noqa: PLR0913
     job = issue_warnings(prepare_job(study, None, record, None, options))
     with python_progress(job.study.name, progress, on_progress) as show:
         run_job(job, executor=executor, on_progress=show, stop=stop)
-    return Results(job.study, time.monotonic() - began, directory=job.directory)
+    assert job.directory is not None
+    manifest = Manifest.read(job.directory)
+    return Results(job.study, time.monotonic() - began, directory=job.directory, manifest=manifest)
 
 
 def run_job(

@@ -89,7 +89,7 @@ def _bias_floor_fact(source: Results) -> Iterator[Fact]:
         return
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
-        latitude_deg = source.record_latitude_deg
+        latitude_deg = source.manifest.record_latitude_deg
     if latitude_deg is None:
         return
     gyro, accel = _EXAMPLES

@@ -9,7 +9,6 @@ from sinsjax.methods.filters.keys import (
     ProcessNoise,
     q_unit_factors,
     surge_density,
-    update_variance,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import reading_methods
@@ -54,28 +53,6 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
             if given:
                 scale *= readings[point["q_reading"]] * study.rate_hz
             ratios[noise.sensors].add((given[0] if given else white) / white * scale**0.5)
-    return ratios
-
-
-def surge_noise_ratios(study: Study) -> set[float]:
-    """Return the ratios of R to the density of the surge, as variances.
-
-    Args:
-        study: checked study.
-
-    Returns:
-        The distinct ratios over all variants with a surge that all draws have and a filter that
-        takes it for measurement noise; empty for a record.
-    """
-    ratios: set[float] = set()
-    if not study.has("filter") or study.is_recorded:
-        return ratios
-    keys = keys_of(update_variance)
-    for point in study.combinations("method", *keys):
-        density = surge_density(*(point[key] for key in keys_of(surge_density)))
-        if density and _takes_surge_for_noise(point["method"]):
-            r = update_variance(study.rate_hz, *(point[key] for key in keys))
-            ratios.add(r / study.rate_hz / density)
     return ratios
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.stored_results import report_text
-from support.studies import BASE, PAPER, small_study, with_paper_values
+from support.studies import small_study, with_paper_values
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution import checks, prepare, run
-from sinsjax.execution.checks import describe_process_noise, study_warnings
+from sinsjax.execution import prepare, run
+from sinsjax.execution.checks import study_warnings
 from sinsjax.execution.directory import read_manifest
 from sinsjax.records import Record, RecordLayout, Reference, motion, write_csv
 from sinsjax.records.checks import Finding, StationaryValues, check_stationary
@@ -409,51 +409,3 @@ def test_noise_that_bands_are_warned_of_is_that_of_runs(
 def with_noise(sensors: dict[str, float], **sections: dict[str, Any]) -> Study:
     none = {"gyro_noise_deg_per_h": None, "accel_noise_ug": None}
     return small_study(sensors=none | sensors, **sections)
-
-
-@pytest.mark.parametrize(
-    ("filter_", "told"),
-    [
-        ({}, "5 times the noise of the accelerometers and 100 times the noise of the gyros"),
-        (
-            {"q_reading": "per_sample", "q_scale": 4.0},
-            "0.1 times the noise of the accelerometers and 2 times the noise of the gyros",
-        ),
-    ],
-)
-def test_process_noise_is_compared_with_white_noise_of_sensors(
-    filter_: dict[str, Any], told: str
-) -> None:
-    """At 100 Hz, 0.1 deg/h a sample and 1000 ug/sqrt(Hz), which is 10,000 ug a sample."""
-    sensors = {"gyro_noise_deg_per_h": 0.1, "accel_vrw_ug_per_sqrt_hz": 1000.0}
-    study = with_noise(sensors, filter=filter_)
-    assert describe_process_noise(study) == f"The filter assumes {told}, in standard deviation"
-
-
-def of_sensors(**sections: Any) -> Study:
-    """Return a study whose filter has the noise of its sensors as Q."""
-    return study_from_dict({name: table for name, table in (BASE | sections).items() if table})
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    "filter_",
-    [
-        PAPER | {"r_reading": "psd"},
-        {"p0_level_deg": 5.0},
-        {"r_velocity_m_per_s": 0.01, "r_scale": 0.25, "p0_velocity_m_per_s": 2.0},
-    ],
-)
-def test_level_of_filter_settles_in_forecast_time(filter_: dict[str, Any]) -> None:
-    """From its P0 to a tenth of it, by sigma of the level in a run."""
-    settings = {"duration_s": 3.0, "rate_hz": 100.0, "draws": 1, "record_interval_s": 0.01}
-    study = of_sensors(study=settings, alignment={"phi_u0_deg": 1.0}, filter=filter_)
-    line = checks.describe_feedback_interval(study)
-    assert line is not None
-    (time_s,) = re.findall(
-        r"every 0.01 s; its level settles in ([0-9.]+) s \(to a tenth of its initial st", line
-    )
-    curves = run.run(study, curves=True).curves.to_pydict()
-    assert study.filter is not None
-    low = np.array(curves["sigma_e_arcmin"]) < 6 * study.filter.p0_level_deg
-    assert float(time_s) == pytest.approx(curves["time_s"][low.argmax()], rel=0.06)

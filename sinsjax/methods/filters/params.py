@@ -1,6 +1,5 @@
 """The params of a filter from [filter], [resets], [alignment] and [passes]."""
 
-from bisect import bisect_left
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.filters.triggers import TriggerParams
 from sinsjax.methods.method import StudyKeys
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets
-from sinsjax.units import DEG, STANDARD_GRAVITY, si_factor
+from sinsjax.units import si_factor
 from sinsjax.value_types import keys_of
 
 
@@ -75,28 +74,6 @@ def filter_params(
         else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
         trigger=_trigger_params(keys),
     )
-
-
-def level_settling_s(
-    rate_hz: float, p0_velocity_m_per_s: float, p0_level_deg: float, r: float
-) -> float:
-    """Return the time in which the standard deviation of level falls to a tenth of its P0, s.
-
-    In that time a level error phi is a slope g phi of the velocity, measured with variance R,
-    (m/s)^2, at each sample. The information on it after n samples is
-    1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and S2 the sums of g t and (g t)^2: from a
-    large p_v it grows as g^2 t^3 / (12 R dt). Q is left out, since its effect comes later.
-    """
-    dt = 1 / rate_hz
-    step = STANDARD_GRAVITY * dt
-    information_at_start = (p0_level_deg * DEG) ** -2
-
-    def information(n: int) -> float:
-        s1, s2 = step * n * (n + 1) / 2, step**2 * n * (n + 1) * (2 * n + 1) / 6
-        return information_at_start + s2 / r - (s1 / r) ** 2 / (p0_velocity_m_per_s**-2 + n / r)
-
-    longest = range(1, 10**8)
-    return (1 + bisect_left(longest, 100 * information_at_start, key=information)) * dt
 
 
 def _process_noise(keys: StudyKeys, noise: ProcessNoise) -> Any:
