@@ -48,7 +48,7 @@ def export(
     Example: sinsjax export paper1_resets -o draws --format psins
     """
     from sinsjax.arena.export import plan_export, write_export
-    from sinsjax.cli.progress import stop_on_signal
+    from sinsjax.cli.running import stop_on_signal
     from sinsjax.errors import StudyInterrupted
     from sinsjax.execution.directory import results_path
     from sinsjax.execution.progress import RunProgress, show_progress
