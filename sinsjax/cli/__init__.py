@@ -327,6 +327,7 @@ def _describe_end(error: Any) -> tuple[int, list[str]]:
         return 2, [f"error: {text[:1].lower()}{text[1:]}{help_}"]
     from sinsjax.methods.plugins import describe_plugin_error
 
-    if (text := describe_plugin_error(error)) is None:
+    described = describe_plugin_error(error)
+    if described is None:
         raise error
-    return 2, [f"error: {text}"]
+    return 2, [f"error: {described}"]

@@ -80,9 +80,7 @@ def run_study(
             print_line(terminal, line)
         stop, name = stack.enter_context(stop_on_signal(terminal)), job.study.name
         if tunes:
-            run_tuning(
-                job, watch=lambda search: show_progress(terminal, f"{name}: {search}"), stop=stop
-            )
+            run_tuning(job, lambda search: show_progress(terminal, f"{name}: {search}"), stop)
         else:
             on_progress = stack.enter_context(show_progress(terminal, name))
             run_job(job, executor=executor, on_progress=on_progress, stop=stop)
