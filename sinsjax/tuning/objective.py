@@ -95,22 +95,17 @@ def relaxed_values(
         truth: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
-        (runs, 1): settling times into a band with a soft edge, s; final heading errors about the
+        (runs,) settling times into a band with a soft edge, s; final heading errors about the
         bias floor or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the
         band.
     """
     error = outcome.last.phi.z - (0.0 if truth else outcome.floor.phi.z)
     if tune.objective == "final_error":
-        return error[:, None] / ARCMIN
-    band = _band_index(tune, criteria)
+        return error / ARCMIN
+    band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
     if tune.objective == "failure_rate":
-        return jax.vmap(partial(outside, criteria))(error)[:, band, None]
-    return outcome.outside_until[:, TRUTH if truth else FLOOR, band, None]
-
-
-def _band_index(tune: TuneSection, criteria: Criteria) -> Array:
-    """Return the number of the objective's band."""
-    return jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
+        return jax.vmap(partial(outside, criteria))(error)[:, band]
+    return outcome.outside_until[:, TRUTH if truth else FLOOR, band]
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:

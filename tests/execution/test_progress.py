@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
-from sinsjax.cli import progress
+from sinsjax.cli import running
 
 
 def plain() -> tuple[Console, io.StringIO]:
@@ -30,8 +30,8 @@ def test_first_signal_requests_stop_and_second_exits(
 ) -> None:
     screen, file = plain()
     ended: list[int] = []
-    monkeypatch.setattr(progress.os, "_exit", ended.append)
-    with progress.stop_on_signal(screen) as stop:
+    monkeypatch.setattr(running.os, "_exit", ended.append)
+    with running.stop_on_signal(screen) as stop:
         assert not stop.is_set()
         os.kill(os.getpid(), number)
         assert stop.wait(60)
@@ -61,11 +61,11 @@ def test_signal_during_console_write_is_safe(handlers: None) -> None:
             return super().write(text)
 
     screen = Console(file=Busy(), width=200)
-    with progress.stop_on_signal(screen) as stop:
+    with running.stop_on_signal(screen) as stop:
         screen.print("the first line")
         assert stop.is_set()
 
 
 def test_signal_handlers_are_restored_after_error(handlers: None) -> None:
-    with pytest.raises(ZeroDivisionError), progress.stop_on_signal(plain()[0]):
+    with pytest.raises(ZeroDivisionError), running.stop_on_signal(plain()[0]):
         raise ZeroDivisionError

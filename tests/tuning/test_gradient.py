@@ -14,14 +14,14 @@ import pytest
 from scipy.stats import mstats
 from support.studies import small_study
 
+import sinsjax
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.filters.keys import FilterSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import from_python, gradient, history, objective, run_tuning, search
+from sinsjax.tuning import gradient, history, objective, run_tuning, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
@@ -214,20 +214,15 @@ def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> 
         np.testing.assert_allclose(by_box[:, variable], (ahead - behind) / 2e-6, rtol=1e-5)
 
 
-WAYS = [
-    ("settle_mean", "mean"),
-    ("settle_quantile", "mean"),
-    ("settle_quantile", "worst"),
-    ("final_error", "mean"),
-    ("final_error", "worst"),
-    ("failure_rate", "worst"),
-]
-
-
-@pytest.mark.nightly(
-    fast=("settle_mean-mean", "settle_quantile-worst", "final_error-worst", "failure_rate-worst")
+@pytest.mark.parametrize(
+    ("what", "across"),
+    [
+        ("settle_mean", "mean"),
+        ("settle_quantile", "mean"),
+        ("settle_quantile", "worst"),
+        ("final_error", "worst"),
+    ],
 )
-@pytest.mark.parametrize(("what", "across"), WAYS)
 def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
     what: str, across: str
 ) -> None:
@@ -282,11 +277,9 @@ def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
 
 
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
-P0 = [key for key in FilterSection.model_fields if key.startswith("p0_")]
 
 
-@pytest.mark.nightly(fast=("p0_yaw_deg",))
-@pytest.mark.parametrize("key", P0)
+@pytest.mark.parametrize("key", ["p0_yaw_deg", "p0_gyro_bias_deg_per_h"])
 def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
     """Without an axis of the reset covariance, and with one."""
     sections = COUNTED | {"alignment": {"method": "kalman10"}}
@@ -346,22 +339,6 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
 
 
-@pytest.mark.nightly
-def test_memory_barely_grows_with_run_duration() -> None:
-    """Only the true attitudes at record times grow, which a draw's runs share."""
-    needed = []
-    for duration_s in (20.0, 80.0):
-        study = tuned(
-            {"reset_times_s": [linear(5.0, 15.0)]},
-            {"study": SHORT | {"duration_s": duration_s, "window_s": [10, 20]}},
-        )
-        slope = Slope(TunedParams(study, {}), starts=32, draws=2)
-        box, softness = np.full((32, 1), 0.4), Softness(5.0, 2.0)
-        (program,) = slope.programs(box, np.arange(2), softness)
-        needed.append(program.memory_analysis().temp_size_in_bytes)
-    assert needed[0] < needed[1] < 1.1 * needed[0]
-
-
 # Descents
 
 
@@ -406,12 +383,6 @@ def test_descents_decrease_objective_and_stay_in_bounds(
     assert found.best.objective < min(scan)
 
 
-@pytest.mark.nightly
-def test_repeated_descent_gives_same_result(down: tuple[Study, history.SearchResult]) -> None:
-    study, found = down
-    assert gradient.descend(study) == found
-
-
 def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[list[int]] = []
 
@@ -431,7 +402,9 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         search,
         "score_points",
-        lambda study, name, points, run_cases: search.PointScores([0.0] * len(points), study, None),
+        lambda study, name, candidates, values, run_cases: search.PointScores(
+            [0.0] * len(values), study, np.zeros(len(values), int)
+        ),
     )
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
@@ -455,8 +428,7 @@ def test_resumed_tuning_takes_gradient_search_from_its_own_points() -> None:
         lambda _: nullcontext(),
         threading.Event(),
     )
-    space = SearchSpace.from_study(study)
-    assert run_tuning._run_search(study, space, "gradient", session, known) == known[1]
+    assert run_tuning._run_search(study, "gradient", session, known) == known[1]
 
 
 @pytest.mark.nightly
@@ -491,54 +463,33 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw, 0]
     assert [e.cost for e in found.evaluations] == list(np.cumsum(costs))
     assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None, None]
-    space, hard = (
-        SearchSpace.from_study(study),
-        [e for e in found.evaluations if e.sharpness is None],
-    )
+    hard = [e for e in found.evaluations if e.sharpness is None]
     assert [e.step for e in hard] == [2, 2, 2]
-    assert study.tune is not None
-    for e in hard:
-        point = space.make_point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
-        derived = search.derive_study(study, {"end": point}, name="end")
-        table = run.run(derived, curves=False).summary
-        (runs,) = search.point_values(study, derived, table)
-        assert e.objective == objective.score(study.tune, runs)
 
 
 YAW = {"p0_yaw_deg": log(5.0, 80.0)}
 TIMES = {"reset_times_s": [linear(1.0, 3.0)]}
 TWO = {"reset_times_s": [2.0]}
 
-REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    "a key without": (
-        {"feedback_interval_s": linear(0.5, 2.0)},
-        {},
-        "[tune.variables] feedback_interval_s",
-    ),
-    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind"),
-    "scale as the last candidate": (
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "[tune.variables] feedback_interval_s": ({"feedback_interval_s": linear(0.5, 2.0)}, {}),
+    "[resets] reset_kind": (
         TIMES | {"reset_kind": {"candidates": ["full", "yaw", "scale"]}},
         {"resets": TWO},
-        "[resets] reset_kind",
     ),
-    "a trigger": (
+    "[resets] reset_trigger": (
         YAW,
         {"resets": {"reset_trigger": "innovation", "trigger_threshold": 9.0}},
-        "[resets] reset_trigger",
     ),
-    "resets that wait": (
-        TIMES,
-        {"resets": TWO | {"reset_at_feedback": True}},
-        "[resets] reset_at_feedback",
-    ),
+    "[resets] reset_at_feedback": (TIMES, {"resets": TWO | {"reset_at_feedback": True}}),
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: Path) -> None:
-    variables, sections, key = REFUSED[name]
+@pytest.mark.parametrize("key", REFUSED)
+def test_study_without_gradient_is_refused_before_running(key: str, tmp_path: Path) -> None:
+    variables, sections = REFUSED[key]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:
-        from_python.tune(study, tmp_path / "out")
+        sinsjax.tune(study, tmp_path / "out")
     assert str(refused.value).startswith(f"study: {key}")
     assert not (tmp_path / "out").exists()
