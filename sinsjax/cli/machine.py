@@ -17,10 +17,10 @@ def info() -> None:
 
 def _plugin_methods() -> dict[str, str]:
     """Return the methods of other packages, and the reasons why some cannot be used."""
-    from sinsjax.study.keys import REGISTRY  # without plug-ins that clash with keys of a study
+    from sinsjax.study.keys import BROKEN, PACKAGES  # without plug-ins that clash with its keys
 
-    methods = (f"{name} ({' '.join(package)})" for name, package in REGISTRY.packages.items())
-    broken = "; ".join(REGISTRY.broken.values())
+    methods = (f"{name} ({' '.join(package)})" for name, package in PACKAGES.items())
+    broken = "; ".join(BROKEN.values())
     entries = {"plug-in methods": ", ".join(methods), "not usable": broken}
     return {key: value for key, value in entries.items() if value}
 

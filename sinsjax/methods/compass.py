@@ -10,7 +10,7 @@ The transport rate is part of the mechanisation; the loops add K2 times that rat
 
 import math
 from itertools import combinations
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -265,7 +265,7 @@ def check(keys: StudyKeys) -> None:
             _refuse_loop(keys, loop, int(row), f"{text} (allow_unstable = true runs it)")
 
 
-def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> NoReturn:
+def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> None:
     """Refuse a variant's loop, naming the key that sets its gains, and the value."""
     names = [f"{loop}_{setting}" for setting in _SETTINGS]
     key, value = next((k, v) for k in names if (v := keys.value(k, row)) is not None)
