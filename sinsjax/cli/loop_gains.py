@@ -32,8 +32,8 @@ def gain_tables(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _loop_row("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
-        _loop_row("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
+        _loop_row("level", level_sigma, damping, loops.level_matrix(level, **earth)),
+        _loop_row("azimuth", azimuth_sigma, damping, loops.azimuth_matrix(azimuth, **earth)),
     ]
     return [
         Table(
@@ -51,14 +51,14 @@ def gain_tables(
     ]
 
 
-def _loop_row(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
+def _loop_row(name: str, sigma: float, damping: float, matrix: np.ndarray) -> list[str]:
     period = 2 * math.pi * damping / (sigma * math.sqrt(1 - damping**2))
-    return [name, _format_roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
+    return [name, _format_roots(matrix), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
 
 
-def _format_roots(polynomial: np.ndarray) -> str:
+def _format_roots(matrix: np.ndarray) -> str:
     """Return the roots, conjugate pairs together, with the multiplicity of double ones."""
-    found = loops.roots(polynomial)
+    found = loops.roots(matrix)
     size = np.abs(found).max()
     # Double roots are found to half of the digits only.
     rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]

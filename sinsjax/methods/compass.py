@@ -253,11 +253,9 @@ def check(keys: StudyKeys) -> None:
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             _refuse_loop(keys, loop, int(row), "gives a gain that is no finite number")
     too_fast = f"a loop that a sample of {dt:g} s cannot carry"
-    polynomials = loops.level_polynomial(level, **earth), loops.azimuth_polynomial(azimuth, **earth)
-    north = loops.azimuth_matrix(azimuth, rate_n=float(keys.site.place.rate_n), **earth)
-    matrices = loops.level_matrix(level, **earth), north
-    for loop, polynomial, matrix in zip(_LOOPS, polynomials, matrices, strict=True):
-        roots = loops.roots(polynomial)
+    matrices = loops.level_matrix(level, **earth), loops.azimuth_matrix(azimuth, **earth)
+    for loop, matrix in zip(_LOOPS, matrices, strict=True):
+        roots = loops.roots(matrix)
         unstable = roots.real.max(axis=-1) >= 0
         for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
             what = "an unstable loop" if unstable[row] else too_fast
