@@ -13,7 +13,7 @@ from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.messages import format_seconds
 from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
-from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
+from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
 from sinsjax.records.reference import StoredRecord
@@ -76,7 +76,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             continue
         batch = scenario.batch(number, range(1), blank=stored is None)
         check_plugin(
-            REGISTRY.label(spec.method),
+            f"method {spec.method!r} of {' '.join(PACKAGES[spec.method])}",
             spec.program,
             batch.params.method,
             batch.n_variants,

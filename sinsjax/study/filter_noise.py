@@ -43,7 +43,7 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     """
     readings, ratios = q_unit_factors(1 / study.rate_hz), {n.sensors: set[float]() for n in _NOISES}
     for noise in _NOISES if study.has("filter") else ():
-        forms, sensor_keys = noise.forms, keys_of(noise.density)
+        forms, sensor_keys = noise.forms, noise.white
         for point in study.combinations("method", "q_reading", "q_scale", *forms, *sensor_keys):
             white = noise.density(study.rate_hz, *(point[key] for key in sensor_keys))
             if not white or point["method"] not in reading_methods(noise.key):
@@ -98,7 +98,7 @@ def _check_missing_q(study: Study) -> None:
 
 def _missing_noise_reason(study: Study, noise: ProcessNoise) -> str | None:
     """Return the reason why the sensors do not determine Q, as text; None if they do."""
-    sensor_keys = () if study.is_recorded else keys_of(noise.density)
+    sensor_keys = () if study.is_recorded else noise.white
     for point in study.combinations("method", *noise.forms, *sensor_keys):
         given = any(point[key] is not None for key in noise.forms)
         if given or point["method"] not in reading_methods(noise.key):

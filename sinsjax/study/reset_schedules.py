@@ -27,7 +27,7 @@ LAW_METHODS = ("kalman5",)
 """Methods for which cells of `docs/reset_law.md` show that the law holds."""
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
-_NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
+_NOISE = (*ACCEL_NOISE.white, *GYRO_NOISE.white)
 NOISE_KEYS = (*_EARTH, *_NOISE)
 """Keys that `noise_heading_sigma` follows from."""
 
@@ -262,5 +262,5 @@ def _white_noise(
     rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float
 ) -> float:
     """Return the density of the sensors' white noise, 0 for none; SI."""
-    values = (point[key] for key in keys_of(noise.density))
+    values = (point[key] for key in noise.white)
     return float((noise.density(rate_hz, *values) or 0.0) * unit) ** 2
