@@ -24,7 +24,6 @@ from sinsjax.methods.filters.keys import (
     FilterSection,
     ResetsSection,
     check_resets,
-    check_trigger,
     has_trigger,
 )
 from sinsjax.methods.filters.loop import (
@@ -136,7 +135,7 @@ SURGE = sincos.describe(
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
     build=build_filter,
     params=params,
-    rules=(check_no_trigger, check_trigger, check_resets),
+    rules=(check_no_trigger, check_resets),
     turning="many",
     step_s=25e-9,
     compile_s=9.0,
