@@ -114,7 +114,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_with_notes
-    from sinsjax.study.turns import describe_rounding
     from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # plug-in methods are traced
@@ -137,7 +136,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
-    lines += describe_rounding(study)
     describe = (
         checks.describe_process_noise,
         checks.describe_measurement_noise,

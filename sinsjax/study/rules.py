@@ -40,10 +40,11 @@ from sinsjax.study.keys import (
     key_summary,
     leaf_info,
 )
-from sinsjax.study.schema import EARTH_CONSTANTS, NUMBERS_DRAWN, Distribution
+from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
-from sinsjax.study.turns import check_turn_keys, check_turns
+from sinsjax.study.turns import check_turns
+from sinsjax.study.unused_keys import describe_idle
 from sinsjax.study.variants import Variants
 from sinsjax.value_types import ROUNDING, KeyInfo
 
@@ -113,11 +114,18 @@ def _check_trigger(study: Study) -> None:
             study.refuse(key, "requires a reset_trigger (give one, or drop this)")
 
 
-def _check_earth_constants(study: Study) -> None:
-    """Refuse constants of the sphere on an ellipsoid."""
-    if all(point["earth"] != "constants" for point in study.combinations("earth")):
-        text = "requires earth = 'constants' (drop it with 'wgs84')"
-        _refuse_all(study, {key: text for key in EARTH_CONSTANTS if study.gives(key)})
+def _check_idle_keys(study: Study) -> None:
+    """Refuse keys that have no effect with the values of keys that exclude them."""
+    found = dict[str, str]()
+    sections = [section for name, section in SECTIONS.items() if study.has(name)]
+    for section, condition in ((s, c) for s in sections for c in s.conditions if c.refused):
+        points = list(study.combinations(*condition.given))
+        if not condition.acts_at(points):
+            for key in condition.keys:
+                default = section.model_fields[key].default
+                if any(point[key] != default for point in study.combinations(key)):
+                    found[key] = f"has no effect {describe_idle(condition, points)} (drop one)"
+    _refuse_all(study, found)
 
 
 def _check_study_size(study: Study) -> None:
@@ -328,20 +336,6 @@ def _check_time_within_runs(study: Study, key: Key) -> None:
             study.refuse(key.name, f"{text} (give an earlier time, or longer runs)")
 
 
-def _check_idle_values(study: Study) -> None:
-    """Refuse values other than defaults that others make idle, where these conflict with them."""
-    sections = [section for name, section in SECTIONS.items() if study.has(name)]
-    for condition in (c for section in sections for c in section.conditions if c.refused):
-        for key in condition.keys:
-            default: Any = SECTIONS[SECTION_OF[key]].model_fields[key].default
-            for point in study.combinations(key, *condition.given):
-                values = [point[given] for given in condition.given]
-                if point[key] != default and not condition.acts(*values):
-                    given = next(k for k in condition.given if study.gives(k))
-                    text = f"has no effect with {given} in {study.given_in(given)}"
-                    study.refuse(key, f"{text} (give one of them)")
-
-
 def _check_plausible_values(study: Study) -> None:
     """Refuse unusual values, except those of drawn keys, which `_check_drawn_values` checks."""
     if study.study.unchecked:
@@ -444,10 +438,9 @@ def _check_tune_section(study: Study) -> None:
 
 _PRESENCE = (
     _check_required_keys,
-    _check_earth_constants,
+    _check_idle_keys,
     check_filter_noise,
     _check_trigger,
-    check_turn_keys,
     refuse_other_angles,
 )
 _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
@@ -463,6 +456,5 @@ _TIMES = (
     _check_stop_when,
     _check_rules_of_methods,
     _check_times_within_runs,
-    _check_idle_values,
     _check_tune_section,
 )

@@ -44,12 +44,10 @@ class SampledTurns(NamedTuple):
     Attributes:
         turns: by time; none begins after the end.
         ramp: samples of a ramp.
-        changes: text for each value that whole samples have changed.
     """
 
     turns: tuple[Turn, ...]
     ramp: int
-    changes: tuple[str, ...]
 
     def turned_deg(self, end: int) -> float:
         """Return the sum of the magnitudes of all angles turned by a sample."""
@@ -72,7 +70,7 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
         values: values of `TURN_KEYS`; None for a key that is left out.
 
     Raises:
-        TurnError: turns that overlap, begin after the end or are too fast for the samples.
+        TurnError: turns that overlap or are too fast for the samples.
     """
     times_s = values["turn_times_s"] or ()
     angle, rate, ramp_s = (
@@ -80,34 +78,23 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
     )
     angles = angle if isinstance(angle, tuple) else (angle,) * len(times_s)
     _refuse_angles_and_rate(rate_hz, len(times_s), angles, rate)
-    _refuse_times(rate_hz, end_s, times_s, ramp_s)
-    changes: list[str] = []
-
-    def samples(name: str, time_s: float, least: int = 0) -> int:
-        count = max(least, round(time_s * rate_hz))
-        if abs(count - time_s * rate_hz) > ROUNDING * max(1.0, count):
-            changes.append(f"{name} {time_s:.12g} s to {count / rate_hz:.12g} s")
-        return count
-
-    end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), samples("ramp", ramp_s, 1)
+    end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), max(1, round(ramp_s * rate_hz))
     turns = []
     for time_s, angle_deg in zip(times_s, angles, strict=True):
-        begin, whole = samples("begin", time_s), abs(angle_deg) / rate * rate_hz
+        begin, whole = round(time_s * rate_hz), abs(angle_deg) / rate * rate_hz
         length, exact = math.ceil(whole), math.copysign(rate, angle_deg)
         if begin + whole < end:
             length = max(1, round(whole))
             exact = angle_deg * rate_hz / length
-            if abs(whole - length) > ROUNDING * length:
-                changes.append(f"rate {rate:.12g} deg/s to {abs(exact):.12g} deg/s")
         turns.append(Turn(begin, length, angle_deg, exact))
     if values["turn_repeat_s"] is not None and turns:
-        period = samples("repetition", values["turn_repeat_s"], 1)
+        period = max(1, round(values["turn_repeat_s"] * rate_hz))
         repeats = range(1 + max(0, end - 1 - turns[0].begin) // period)
         _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
         repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
         turns = [turn for turn in repeated if turn.begin < end]
     _refuse_overlap(rate_hz, turns, ramp)
-    return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
+    return SampledTurns(tuple(turns), ramp)
 
 
 def _refuse_angles_and_rate(
@@ -123,16 +110,6 @@ def _refuse_angles_and_rate(
         hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
         text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
         raise TurnError("turn_rate_deg_per_s", text)
-
-
-def _refuse_times(rate_hz: float, end_s: float, times_s: tuple[float, ...], ramp_s: float) -> None:
-    if ramp_s * rate_hz < 1 - ROUNDING:
-        text = f"{ramp_s:.12g} s is shorter than a sample of {1 / rate_hz:.12g} s (give a longer)"
-        raise TurnError("turn_ramp_s", text)
-    late_s = [time_s for time_s in times_s if time_s >= end_s * (1 - ROUNDING)]
-    if late_s:
-        text = f"the turn at {late_s[0]:.12g} s begins after the end of the data, at {end_s:.12g} s"
-        raise TurnError("turn_times_s", f"{text} (turn earlier, or give longer runs)")
 
 
 def _refuse_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
@@ -162,15 +139,8 @@ def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
     return turns_in_samples(study.rate_hz, data_end_s(study), point)
 
 
-def check_turn_keys(study: Study) -> None:
-    """Refuse keys of turns in a study without turns."""
-    for key in () if study.gives("turn_times_s") else TURN_KEYS:
-        if study.gives(key):
-            study.refuse(key, "requires turn_times_s (give it, or drop this)")
-
-
 def check_turns(study: Study) -> None:
-    """Refuse turns that overlap, begin after the end of the data or are too fast for the samples.
+    """Refuse turns that overlap or are too fast for the samples.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
@@ -199,12 +169,3 @@ def useless_methods(study: Study) -> Iterator[str]:
             f"[alignment] method: {name} does not average gyro biases over the turns of a base"
             f"{few} (use {good})"
         )
-
-
-def describe_rounding(study: Study) -> Iterator[str]:
-    """Yield one line if whole samples change the times or rates of turns."""
-    plans = (_turns_of(study, point) for point in _turned_points(study))
-    changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
-    if changes:
-        more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
-        yield f"Turns are rounded to whole samples: {', '.join(changes[:3])}{more}."
