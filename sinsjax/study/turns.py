@@ -10,7 +10,7 @@ from sinsjax.study.study import Study
 from sinsjax.units import DEG
 from sinsjax.value_types import ROUNDING, otherwise
 
-MOST_TURN_PER_SAMPLE = 0.1
+_MOST_PER_SAMPLE = 0.1
 """Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
 
 DEFAULTS = {
@@ -28,38 +28,24 @@ class Turn(NamedTuple):
     Attributes:
         begin: sample at which the ramp up begins.
         length: samples from there to the beginning of the ramp down.
+        ramp: samples of a ramp.
         angle_deg: signed angle.
         rate_deg_per_s: signed rate after the ramp.
     """
 
     begin: int
     length: int
+    ramp: int
     angle_deg: float
     rate_deg_per_s: float
-
-
-class SampledTurns(NamedTuple):
-    """The turns of a run.
-
-    Attributes:
-        turns: by time; none begins after the end.
-        ramp: samples of a ramp.
-    """
-
-    turns: tuple[Turn, ...]
-    ramp: int
-
-    def turned_deg(self, end: int) -> float:
-        """Return the sum of the magnitudes of all angles turned by a sample."""
-        return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in self.turns)
 
 
 class TurnError(ValueError):
     """Turns that no base can make, or that samples do not resolve: the key to change, and why."""
 
 
-def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
-    """Return the turns of a run in whole samples.
+def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> list[Turn]:
+    """Return the turns of a run in whole samples, in order of time; none begins after the end.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
     angle, unless the run ends within the turn.
@@ -77,7 +63,14 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
         values[key] if values[key] is not None else default for key, default in DEFAULTS.items()
     )
     angles = angle if isinstance(angle, tuple) else (angle,) * len(times_s)
-    _refuse_angles_and_rate(rate_hz, len(times_s), angles, rate)
+    if len(angles) != len(times_s):
+        text = f"has {len(angles)} angles for {len(times_s)} turns (give one for all, or one each)"
+        raise TurnError("turn_angles_deg", text)
+    if rate * DEG / rate_hz > _MOST_PER_SAMPLE * (1 + ROUNDING):
+        most = math.floor(_MOST_PER_SAMPLE * rate_hz / DEG * 10) / 10
+        hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
+        text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
+        raise TurnError("turn_rate_deg_per_s", text)
     end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), max(1, round(ramp_s * rate_hz))
     turns = []
     for time_s, angle_deg in zip(times_s, angles, strict=True):
@@ -86,35 +79,20 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
         if begin + whole < end:
             length = max(1, round(whole))
             exact = angle_deg * rate_hz / length
-        turns.append(Turn(begin, length, angle_deg, exact))
+        turns.append(Turn(begin, length, ramp, angle_deg, exact))
     if values["turn_repeat_s"] is not None and turns:
         period = max(1, round(values["turn_repeat_s"] * rate_hz))
         repeats = range(1 + max(0, end - 1 - turns[0].begin) // period)
-        _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
-        repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
-        turns = [turn for turn in repeated if turn.begin < end]
-    _refuse_overlap(rate_hz, turns, ramp)
-    return SampledTurns(tuple(turns), ramp)
+        _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)])
+        turns = [t._replace(begin=t.begin + n * period) for n in repeats for t in turns]
+    turns = [turn for turn in turns if turn.begin < end]
+    _refuse_overlap(rate_hz, turns)
+    return turns
 
 
-def _refuse_angles_and_rate(
-    rate_hz: float, count: int, angles: tuple[float, ...], rate: float
-) -> None:
-    if len(angles) != count:
-        text = f"has {len(angles)} angles for {count} turns (give one for all, or one each)"
-        raise TurnError("turn_angles_deg", text)
-    if 0 in angles:
-        raise TurnError("turn_angles_deg", "0 is no turn (drop it, and its time)")
-    if rate * DEG / rate_hz > MOST_TURN_PER_SAMPLE * (1 + ROUNDING):
-        most = math.floor(MOST_TURN_PER_SAMPLE * rate_hz / DEG * 10) / 10
-        hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
-        text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
-        raise TurnError("turn_rate_deg_per_s", text)
-
-
-def _refuse_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
+def _refuse_overlap(rate_hz: float, turns: list[Turn]) -> None:
     for turn, following in zip(turns, turns[1:], strict=False):
-        end = turn.begin + turn.length + ramp
+        end = turn.begin + turn.length + turn.ramp
         if end > following.begin:
             begin_s, end_s, next_s = (n / rate_hz for n in (turn.begin, end, following.begin))
             text = f"the turn at {begin_s:.12g} s ends at {end_s:.12g} s, after the next one begins"
@@ -134,11 +112,6 @@ def _turned_points(study: Study, *keys: str) -> Iterator[dict[str, Any]]:
         yield from (point for point in points if point["turn_times_s"])
 
 
-def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
-    """Return the turns of a combination of the values of `TURN_KEYS` in whole samples."""
-    return turns_in_samples(study.rate_hz, data_end_s(study), point)
-
-
 def check_turns(study: Study) -> None:
     """Refuse turns that overlap or are too fast for the samples.
 
@@ -147,25 +120,26 @@ def check_turns(study: Study) -> None:
     """
     for point in _turned_points(study):
         try:
-            _turns_of(study, point)
+            turns_in_samples(study.rate_hz, data_end_s(study), point)
         except TurnError as error:
             study.refuse(*error.args)
 
 
 def useless_methods(study: Study) -> Iterator[str]:
     """Yield one line per method of the study that cannot use its turns."""
-    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
-    seen = set[str]()
+    useless, end_s = dict[str, str](), data_end_s(study)
     for point in _turned_points(study, "method"):
         name, turning = point["method"], METHODS[point["method"]].turning
-        if name in seen or turning in (None, "any"):
-            continue
-        end = round(data_end_s(study) * study.rate_hz)
-        if turning == "many" and _turns_of(study, point).turned_deg(end) >= _MANY_TURNS_DEG:
-            continue
-        seen.add(name)
-        few = " unless it makes many" if turning == "many" else ""
-        yield (
-            f"[alignment] method: {name} does not average gyro biases over the turns of a base"
-            f"{few} (use {good})"
-        )
+        turns = turns_in_samples(study.rate_hz, end_s, point)
+        is_few = _turned_deg(turns, end_s * study.rate_hz) < _MANY_TURNS_DEG
+        if turning == "none" or (turning == "many" and is_few):
+            useless[name] = " unless it makes many" if turning == "many" else ""
+    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
+    for name, few in useless.items():
+        text = f"{name} does not average gyro biases over the turns of a base{few} (use {good})"
+        yield f"[alignment] method: {text}"
+
+
+def _turned_deg(turns: list[Turn], end: float) -> float:
+    """Return the sum of the magnitudes of all angles turned by a sample."""
+    return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in turns)
