@@ -85,10 +85,6 @@ class TuningResults:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
         return display.format_text(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
-    def _repr_html_(self) -> str:
-        """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Tuning of {self._tuning.search_study.name}", self._facts())
-
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
         return ["baseline", "best", "directory", "law", "objective", "score", "search", "study"]
