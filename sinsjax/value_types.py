@@ -92,13 +92,17 @@ class KeyCondition(NamedTuple):
         keys: the keys concerned.
         given: the keys that the condition depends on.
         acts: (values of ``given``) -> whether ``keys`` act; a drawn value is None.
-        refused: whether a value that would be ignored is an error.
+        refused: whether a value that no run reads is an error.
     """
 
     keys: tuple[str, ...]
     given: tuple[str, ...]
     acts: Callable[..., bool]
     refused: bool = False
+
+    def acts_at(self, points: Iterable[Mapping[str, Any]]) -> bool:
+        """Return whether ``keys`` act with the values of ``given`` at one of some points."""
+        return any(self.acts(*(point[key] for key in self.given)) for point in points)
 
 
 def field(meaning: str, default: Any = None, /, **properties: Any) -> Any:

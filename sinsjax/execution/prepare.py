@@ -20,7 +20,6 @@ from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import find_study_file, source_name
 from sinsjax.study.load import load_study, load_with_notes, with_rate
 from sinsjax.study.study import Study
-from sinsjax.study.turns import describe_rounding
 from sinsjax.study.unused_keys import list_idle_keys
 
 
@@ -171,7 +170,6 @@ def finish_job(job: Job, expected_cost: Forecast) -> Job:
     doubts = job.warnings if study.is_recorded else tuple(checks.study_warnings(study))
     if dropped_s := study.dropped_s:
         notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
-    notes += describe_rounding(study)
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected_cost)

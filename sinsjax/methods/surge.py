@@ -24,7 +24,6 @@ from sinsjax.methods.filters.keys import (
     ResetsSection,
     StateKind,
     check_resets,
-    check_trigger,
     has_trigger,
 )
 from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState
@@ -132,7 +131,7 @@ SURGE = sincos.describe(
     source="`methods.surge`",
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
     params=params,
-    rules=(check_no_trigger, check_trigger, check_resets),
+    rules=(check_no_trigger, check_resets),
     turning="many",
     step_s=25e-9,
     compile_s=9.0,

@@ -135,8 +135,6 @@ def predict_settling(
         points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
     """
     lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
-    if not lanes:
-        return [None] * len(points)
     bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
     times = predict_settling_times([*lanes.values()], run_s, bands).tolist()
     settled = {n: time_s for n, time_s in zip(lanes, times, strict=True) if math.isfinite(time_s)}
@@ -159,21 +157,6 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     return Lane(problem, times, heading, complex(east, north))
 
 
-def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
-    """Refuse a band that the noise of the sensors exceeds at the end of a run.
-
-    Raises:
-        InputError: the line begins ``[section] key`` and states the noise.
-    """
-    if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
-        return
-    _require_values(point)
-    sigma_arcmin = noise_heading_sigma(rate_hz, run_s, point) / ARCMIN
-    if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
-        text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
-        raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
-
-
 def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
     """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
 
@@ -194,7 +177,9 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     Raises:
         InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
     """
-    _require_values(point)
+    for key, section in _ONE_VALUE.items():
+        if point[key] is None:
+            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
     place = _read_place(point)
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
     return ResetProblem(
@@ -212,12 +197,6 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
-
-
-def _require_values(point: Mapping[str, Any]) -> None:
-    for key, section in _ONE_VALUE.items():
-        if point[key] is None:
-            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
 
 
 def _reset_velocity(point: Mapping[str, Any]) -> float:
@@ -239,8 +218,8 @@ class Place(NamedTuple):
 def _read_place(point: Mapping[str, Any]) -> Place:
     latitude = point["latitude_deg"] * DEG
     if point["earth"] == "constants":
-        gravity = point["gravity_m_per_s2"] or 9.8
-        rate, ug = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H, micro_g(gravity)
+        gravity = point["gravity_m_per_s2"]
+        rate, ug = point["earth_rate_deg_per_h"] * DEG_PER_H, micro_g(gravity)
     else:  # normal gravity to 1e-5, far within the law's
         gravity = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)
         rate, ug = 7.292115e-5, micro_g()

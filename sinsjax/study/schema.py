@@ -128,6 +128,7 @@ class EarthSection(Section):
             ("gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"),
             ("earth",),
             lambda earth: earth == "constants",
+            refused=True,
         ),
     )
 
@@ -190,7 +191,7 @@ class MotionSection(Section):
         KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
         KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
         KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
-        KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
+        KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool, refused=True),
         KeyCondition(
             ("lever_arm_m",),
             ("turn_times_s", "attitude_file", "vibration_deg_per_h_rms", *_AMPLITUDES),
@@ -230,7 +231,9 @@ class MotionSection(Section):
         usual_range=(-300, 300),
     )
     turn_times_s: vt.EventTimes | None = field(
-        "start times of turns from the first sample, rounded to whole samples", otherwise="no turns"
+        "start times of turns from the first sample, rounded to whole samples",
+        otherwise="no turns",
+        time="s",
     )
     turn_angles_deg: vt.Numbers | None = field(
         "turn angles, positive counter-clockwise from above: one for all or per turn. An"

@@ -216,10 +216,12 @@ def _needs_cycle(count: int | None, first_s: float | None) -> bool:
 _RESETS = ("reset_times_s", "reset_count", "reset_trigger")
 """Keys that decide whether P is reset at all, in the order of `_is_reset`."""
 
-_TRIGGERED = (
+TRIGGER_KEYS = (
     *("trigger_threshold", "trigger_window_s", "trigger_refractory_s"),
     *("trigger_most", "trigger_until_s"),
 )
+"""Keys of a trigger."""
+
 _FULL_RESET = (
     *("reset_velocity_m_per_s", "reset_level_deg"),
     *("reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
@@ -233,7 +235,7 @@ class ResetsSection(Section):
         ("reset_times_s", key) for key in ("reset_count", "reset_cycle_s", "reset_first_s")
     )
     conditions = (
-        KeyCondition(_TRIGGERED, ("reset_trigger",), has_trigger),
+        KeyCondition(TRIGGER_KEYS, ("reset_trigger",), has_trigger),
         KeyCondition(
             ("heading_bound_deg", "settle_band_arcmin"), ("schedule",), lambda name: name == "law"
         ),
@@ -387,20 +389,6 @@ def find_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
 
 
 # Rules
-
-
-def check_trigger(study: StudyKeys) -> None:
-    """Refuse a trigger without a threshold, and keys of triggers without a trigger."""
-    if not study.has("resets"):
-        return
-    if not any_trigger(study):
-        for key in _TRIGGERED:
-            if study.given_in(key):
-                study.refuse(key, "requires a reset_trigger (give one, or drop this)")
-    for point in study.combinations("reset_trigger", "trigger_threshold"):
-        name, threshold = point["reset_trigger"], point["trigger_threshold"]
-        if has_trigger(name) and threshold is None:
-            study.refuse("trigger_threshold", f"required with reset_trigger = '{name}'")
 
 
 def check_resets(study: StudyKeys) -> None:

@@ -17,7 +17,6 @@ from sinsjax.methods.filters.keys import (
     ResetsSection,
     StateKind,
     check_resets,
-    check_trigger,
 )
 from sinsjax.methods.filters.loop import Filter, FilterParams, closed_loop
 from sinsjax.methods.filters.triggers import TriggerParams
@@ -43,7 +42,7 @@ def filter_method(
         "reads": LOOP_KEYS,
         "without_effect": BIAS_KEYS,
         "turning": "none",
-        "rules": (check_trigger, check_resets),
+        "rules": (check_resets,),
         "columns": FILTER_COLUMNS,
     }
     return Method(
