@@ -290,7 +290,7 @@ def _truth_parquet(runs: ProgramRuns, form: Form) -> bytes:
     for number in range(runs.environments.max() + 1):
         part = runs.part_of(number)
         truth = given.true_attitudes_at_records(runs.batch(part))
-        time_s = runs.study.update_times(runs.study.spans[part.ids[0]])
+        time_s = runs.study.update_times(runs.study.lengths.to_list()[part.ids[0]])
         for place, draw in enumerate(runs.draws):
             attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
             pitch, roll, yaw = to_angles(attitude, form.frame).T / DEG

@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.files import TOO_DEEP, check_nesting
+from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
 _SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
 _WORD = re.compile(r"[+-]?[A-Za-z_][\w+-]*")  # also an order of axes, as -y-xz
+_MAX_NESTING = 50  # a study has at most five
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
@@ -78,9 +79,9 @@ def apply_changes(
         InputError: a place does not name a section and a key, there is nothing to drop, two changes
             are alternatives, or a value is nested too deeply.
     """
-    result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
     try:
+        result: TomlTable = copy_tables(tables)
         for place, value in changes.items():
             dropped = _change(result, place, value, places)
             line = f"--set {place} replaces {', '.join(dropped)}."
@@ -89,10 +90,9 @@ def apply_changes(
 
                 print_warning(line)
                 changes.told.add(line)
+        return copy_tables(result)  # or it is nested too deeply by now
     except InputError as error:
         raise (error.with_source(source) if source else error) from None
-    check_nesting(result, source)
-    return result
 
 
 def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
@@ -129,13 +129,21 @@ def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -
     return _drop_elsewhere(tables, key, kept)
 
 
-def copy_tables(value: Any, sequence: Callable[[Iterable[Any]], Any] = list) -> Any:
-    """Return a deep copy of tables, with all lists and tuples as one of both."""
+def copy_tables(
+    value: Any, sequence: Callable[[Iterable[Any]], Any] = list, depth: int = _MAX_NESTING
+) -> Any:
+    """Return a deep copy of tables, with all lists and tuples as one of both.
+
+    Raises:
+        InputError: they are nested too deeply, as by ``[a.a.a.a]``, which a TOML parser accepts.
+    """
+    if not isinstance(value, Mapping | list | tuple):
+        return value
+    if not depth:
+        raise InputError(TOO_DEEP)
     if isinstance(value, Mapping):
-        return {key: copy_tables(entry, sequence) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return sequence(copy_tables(entry, sequence) for entry in value)
-    return value
+        return {key: copy_tables(entry, sequence, depth - 1) for key, entry in value.items()}
+    return sequence(copy_tables(entry, sequence, depth - 1) for entry in value)
 
 
 def _drop_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:

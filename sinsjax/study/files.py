@@ -4,7 +4,6 @@ import os
 import re
 import tomllib
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,6 @@ OPEN = "?"
 _STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
 
 TOO_DEEP = "is nested too deeply"
-_MAX_NESTING = 50
-"""Largest depth of nested tables and lists; a study has at most five."""
-
 GROUPS = {
     "first": "studies to begin with",
     "papers": "what the two papers print, and what they leave open",
@@ -165,7 +161,7 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     """
     name = source_name(path)
     try:
-        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
+        return tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except OSError as error:
         missing = isinstance(error, FileNotFoundError)
         hint = suggest_closest(Path(path).stem, shipped_studies()) if missing else ""
@@ -176,22 +172,3 @@ def read_tables(path: str | Path) -> dict[str, Any]:
         raise InputError(f"{name}: is not TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{name}: {TOO_DEEP}") from None
-    check_nesting(tables, name)
-    return tables
-
-
-def check_nesting(content: Any, source: str | Path) -> None:
-    """Refuse tables and lists that are nested too deeply for recursive functions.
-
-    The TOML parser accepts them, for example ``[a.a.a.a]``.
-
-    Raises:
-        InputError: the content of the source is nested too deeply.
-    """
-    level = [content]
-    for _ in range(_MAX_NESTING):
-        tables = [value.values() for value in level if isinstance(value, dict)]
-        lists = [value for value in level if isinstance(value, list | tuple)]
-        level = [*chain.from_iterable(tables), *chain.from_iterable(lists)]
-    if level:
-        raise InputError(f"{source}: {TOO_DEEP}")

@@ -8,7 +8,7 @@ tables that vary a study. Values stay in the units of the file.
 
 import difflib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,7 @@ from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError, StudyWarning
 from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
-from sinsjax.methods.registry import (
-    BROKEN,
-    METHODS,
-    register_external,
-)
+from sinsjax.methods.registry import register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
@@ -38,13 +34,12 @@ from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
+    check_alternatives,
     correctable_errors,
-    describe_gone_settings,
     read_sweep,
     read_tune_section,
     without_gone_settings,
 )
-from sinsjax.study.unused_keys import list_idle_keys
 
 __all__ = [
     "Study",
@@ -85,37 +80,18 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    study, _ = _load(source, changes)
+    name, data = files.source_name(source), files.read_tables(source)
+    try:
+        study = _checked_study(apply_changes(data, changes) if changes else data, name, source)
+    except InputError as error:
+        lines = error.with_source(name).lines
+        if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
+            hint = f"`sinsjax advise {source} --study FILE` writes a study of a data sheet"
+            lines = (*lines, f"{name}: has no [alignment] ({hint})")
+        raise InputError(*lines) from None
     for line in files.describe_shadowed_study(source):
         warnings.warn(line, StudyWarning, stacklevel=2)
     return study
-
-
-def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study, list[str]]:
-    """Read and check a study file like `load_study`.
-
-    Returns:
-        The study, and lines for the user about keys that have no effect.
-
-    Raises:
-        InputError: see `load_study`.
-    """
-    study, tables = _load(path, changes)
-    return study, [*describe_gone_settings(tables), *list_idle_keys(study)]
-
-
-def _load(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[Study, TomlTable]:
-    """Read and check a study file; also return its tables."""
-    name, data = files.source_name(path), files.read_tables(path)
-    if changes:
-        data = apply_changes(data, changes, name)
-    try:
-        return _checked_study(data, name, path), data
-    except InputError as error:
-        if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
-            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
-            raise InputError(*error.lines, f"{name}: has no [alignment] ({hint})") from None
-        raise
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -143,22 +119,13 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           method  kalman5
           length  60 s at 100 Hz
     """
-    return _checked_study(data, source)
-
-
-def _checked_study(data: TomlTable, source: str, path: str | Path | None = None) -> Study:
-    """Return the study of some tables, whose file has the evidence of open questions."""
     try:
-        reject_open_questions(data, path)
-        _check_methods_usable(data)
-        study = _read_study(data, escape_controls(Path(source).stem))
-        if study.tune and study.study.rate_hz:
-            _check_tuning_points(study)
-        return study
+        return _checked_study(data, source)
     except InputError as error:
         raise error.with_source(source) from None
-    except RecursionError:
-        raise InputError(f"{source}: {files.TOO_DEEP}") from None
+
+
+Study.from_tables = staticmethod(study_from_dict)
 
 
 def study_to_toml(study: Study) -> str:
@@ -187,22 +154,24 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     Raises:
         InputError: the study is not valid at this rate.
     """
-    if study.study.rate_hz:
-        return study
-    tables = study_to_tables(study)
-    settings = tables["study"] | {"rate_hz": rate_hz}
-    return study_from_dict(tables | {"study": settings}, study.name)
+    return study if study.study.rate_hz else study.replace({"study.rate_hz": rate_hz})
 
 
-Study.from_tables = staticmethod(study_from_dict)
+def _checked_study(data: TomlTable, source: str, path: str | Path | None = None) -> Study:
+    """Return the study of some tables, whose file has the evidence of open questions."""
+    reject_open_questions(data, path)
+    study = _read_study(data, escape_controls(Path(source).stem))
+    if study.tune and study.study.rate_hz:
+        _check_tuning_points(study)
+    return study
 
 
 def _read_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables: names, sweep, defaults, values, rules."""
-    tables = without_gone_settings(copy_tables(data, tuple))
+    tables, errors = without_gone_settings(copy_tables(data, tuple)), ErrorCollector()
     _check_tables(tables)
     _register_external(tables)
-    errors, sweep, inherited = ErrorCollector(), Sweep(), frozenset[str]()
+    sweep, inherited = Sweep(), frozenset[str]()
     with errors.collect():
         sweep, inherited = read_sweep(tables)
     given = {  # the cases have the others
@@ -210,11 +179,9 @@ def _read_study(data: TomlTable, name: str) -> Study:
         for section, table in tables.items()
         if section in SECTIONS
     }
+    tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
     with errors.collect():
-        _check_alternatives(
-            {key: f"[{section}]" for section, keys in given.items() for key in keys}
-            | sweep.table_of
-        )
+        check_alternatives(tables_of_keys | sweep.table_of)
     defaults = filled_in(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
@@ -224,9 +191,12 @@ def _read_study(data: TomlTable, name: str) -> Study:
         with errors.collect():
             sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
     try:
-        study = Study.model_validate(sections | dict(sweep))
+        varied = {name: getattr(sweep, name) for name in Sweep.model_fields}
+        study = Study.model_validate(sections | varied)
     except ValidationError as error:
-        for detail in correctable_errors(error):
+        details = correctable_errors(error)
+        unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
+        for detail in unknown or details:
             errors.add(_format_error(detail))
     errors.raise_all()
     for section, values in defaults.items():  # which the file does not give
@@ -265,51 +235,29 @@ def _check_tuning_points(study: Study) -> None:
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_methods_usable(data: Any, key: str = "") -> None:
-    """Refuse a word under a key ``method`` that names a method that cannot be used."""
-    if isinstance(data, Mapping):
-        for name, value in data.items():
-            _check_methods_usable(value, name)
-    elif isinstance(data, list | tuple):
-        for value in data:
-            _check_methods_usable(value, key)
-    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
-        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
-
-
 def _check_tables(data: TomlTable) -> None:
-    """Refuse unknown sections and keys, and those that a recorded study cannot have."""
+    """Refuse unknown sections, and sections and keys that a recorded study cannot have."""
+    names, recorded = (*SECTIONS, *_SWEEP_TABLES), "record" in data
     errors = ErrorCollector()
     for name, table in data.items():
-        for line in _errors_of_table(name, table):
-            errors.add(line)
-    for name in SIMULATED_ONLY:
-        if name in data and "record" in data:
+        if name == "advise":
+            errors.add("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
+        elif name in SECTION_OF and name not in SECTIONS:
+            errors.add(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
+        elif name not in names:
+            hint = suggest_closest(name, names, "[{}]") or " (is its method not installed?)"
+            errors.add(f"[{name}]: unknown section{hint}")
+        elif name != "cases" and not isinstance(table, Mapping):
+            errors.add(f"[{name}]: must be a table of keys")
+        elif recorded and name in SIMULATED_ONLY:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-    study = data.get("study")
-    if "record" in data and isinstance(study, Mapping) and "draws" in study:
-        reason = "does not apply to a recorded study (drop it: there is one draw per start time)"
-        errors.add(f"[study] draws: {reason}")
+        elif recorded and name == "study" and "draws" in table:
+            reason = "does not apply to a recorded study (drop it: a draw is a start time)"
+            errors.add(f"[study] draws: {reason}")
+        elif name != "cases":
+            for key in (key for key, value in table.items() if value is None):
+                errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
     errors.raise_all()
-
-
-def _errors_of_table(name: str, table: Any) -> Iterator[str]:
-    """Yield the errors of an unknown table, or of the unknown keys in a table."""
-    names = (*SECTIONS, *_SWEEP_TABLES)
-    if name in SECTION_OF and name not in SECTIONS:
-        yield f"{name}: a key of [{SECTION_OF[name]}] (move it there)"
-    elif name == "advise":
-        yield "[advise]: is read by `sinsjax advise` alone (drop it from a study)"
-    elif name not in names:
-        hint = suggest_closest(name, names, "[{}]")
-        yield f"[{name}]: unknown section{hint or ' (is its method not installed?)'}"
-    elif not isinstance(table, Mapping) and name != "cases":
-        yield f"[{name}]: must be a table of keys"
-    for key, value in table.items() if name in names and isinstance(table, Mapping) else ():
-        if name in SECTIONS and key not in SECTIONS[name].model_fields:
-            yield f"[{name}] {key}: {_unknown_key_text(key, name)}"
-        elif value is None:
-            yield f"[{name}] {key}: None is not a value (leave the key out)"
 
 
 def _unknown_key_text(key: str, section: str) -> str:
@@ -323,19 +271,6 @@ def _unknown_key_text(key: str, section: str) -> str:
     return text
 
 
-def _check_alternatives(table_of: Mapping[str, str]) -> None:
-    """Refuse two keys that are alternatives; each case may have another one."""
-    errors, reported = ErrorCollector(), set[str]()
-    for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        tables = {table_of.get(first), table_of.get(second)}
-        if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
-            continue
-        text = f"conflicts with {second} in {table_of[second]} (give one of them)"
-        errors.add(f"{table_of[first]} {first}: {text}")
-        reported |= {first, second}
-    errors.raise_all()
-
-
 def _format_error(error: ErrorDetails) -> str:
     """Return the error line of an invalid value or of a missing key."""
     section = str(error["loc"][0])
@@ -343,5 +278,7 @@ def _format_error(error: ErrorDetails) -> str:
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
         hint = f" ({key_summary(section, str(key))})"
+    if error["type"] == "extra_forbidden":
+        return f"[{section}] {key}: {_unknown_key_text(str(key), section)}"
     text = explain_error(error, f"{section}.{key}")
     return f"[{section}] {key}{format_list_index(error)}: {text}{hint}"

@@ -96,7 +96,7 @@ class Variants:
         return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return a column for these variants, see `SweepColumns.column`."""
+        """Return a column for these variants, see `Study.coded`."""
         whole = self._study.coded(*keys)
         return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
 
