@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARE = 0.95
-TURN_ON = ("gyro_bias", "accel_bias")
-"""Sources of the budget that are constant in a run."""
-
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
@@ -148,8 +145,8 @@ class Advice:
     @property
     def sigma(self) -> float:
         """1 sigma of the method's heading at the time asked for, rad, before it is wrapped."""
-        linear = float(self.budget.sigma[self.budget.times_s == self.time_s][0])
-        return self.choice.expected_sigma(linear)
+        (here,) = np.flatnonzero(self.budget.times_s == self.time_s)
+        return self.choice.expected_sigma(self.budget.sigma[here], self.budget.varying[here])
 
     @property
     def loss(self) -> float:
@@ -322,7 +319,7 @@ def advise_sheet(given: Sheet) -> Advice:
     (bound,) = heading_bound([given.asked.time_s], problem)
     return Advice(
         sheet=given,
-        headings=tuple(map(partial(expect_heading, choice), budget.times_s, budget.sigma)),
+        headings=tuple(_iter_headings(choice, budget)),
         choice=choice,
         budget=budget,
         bound_arcmin=float(bound / ARCMIN),
@@ -335,8 +332,8 @@ def _rms_at_the_end(sheet: Sheet) -> float:
     """Return the rms heading error of a sheet at the time asked for, arcmin."""
     choice, time_s = choose_method(sheet), sheet.asked.time_s
     left_out = methods.LEFT_OUT[choice.method]
-    (sigma,) = heading_budget(sheet_problem(sheet), [time_s], left_out).sigma
-    return expect_heading(choice, time_s, sigma).rms_arcmin
+    (heading,) = _iter_headings(choice, heading_budget(sheet_problem(sheet), [time_s], left_out))
+    return heading.rms_arcmin
 
 
 def _times(sheet: Sheet) -> list[float]:
@@ -346,14 +343,12 @@ def _times(sheet: Sheet) -> list[float]:
     return sorted({*sheet.times_s, *(float(round(time)) for time in curve)})
 
 
-def expect_heading(choice: Choice, time_s: float, sigma: float) -> Heading:
-    """Return the heading error of a method from its 1 sigma in linear theory, rad."""
-    expected = choice.expected_sigma(sigma)
-    return Heading(
-        float(time_s),
-        wrapped_rms(expected) / ARCMIN,
-        wrapped_quantile(expected, _SHARE) / ARCMIN,
-    )
+def _iter_headings(choice: Choice, budget: Budget) -> Iterator[Heading]:
+    """Yield the heading error of a method at each time of its budget."""
+    for time_s, *sigmas in zip(budget.times_s, budget.sigma, budget.varying, strict=True):
+        expected = choice.expected_sigma(*sigmas)
+        rms, within = wrapped_rms(expected), wrapped_quantile(expected, _SHARE)
+        yield Heading(float(time_s), rms / ARCMIN, within / ARCMIN)
 
 
 def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
@@ -382,9 +377,7 @@ def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
     """
     if sheet.is_turned:
         return None
-    varying = [source not in TURN_ON for source in budget.sources]
-    variance = float(budget.variance[:, varying].sum(axis=1).min())
-    least = math.sqrt(variance) / ARCMIN
+    least = float(budget.varying.min()) / ARCMIN
     for band_arcmin in (10.0, 60.0, 300.0):
         if 2 * least > band_arcmin:
             continue
@@ -456,7 +449,7 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
 def _rotates(motion: Mapping[str, Any]) -> bool:
     """Return whether the base sways by more than half a degree."""
     amplitudes = (motion.get(f"{axis}_amplitude_deg", 0.0) for axis in ("pitch", "roll", "yaw"))
-    return max(np.max(np.abs(amplitude)) for amplitude in amplitudes) > _ROTATES_DEG
+    return any(np.any(np.abs(amplitude) > _ROTATES_DEG) for amplitude in amplitudes)
 
 
 def _describe_turn_keys(turns: TurnChoice) -> str:

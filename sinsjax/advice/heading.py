@@ -53,6 +53,9 @@ KEYS = {
 }
 """Keys of each source."""
 
+TURN_ON = ("gyro_bias", "accel_bias")
+"""Sources that are constant in a run."""
+
 _LEAST_SHARE = 1e-9
 _CELLS = 4000
 _RATE_HZ = 100.0
@@ -76,6 +79,12 @@ class Budget:
     def sigma(self) -> np.ndarray:
         """(times,) 1 sigma of the sum, rad."""
         return np.sqrt(self.variance.sum(axis=1))
+
+    @property
+    def varying(self) -> np.ndarray:
+        """(times,) 1 sigma of all but the `TURN_ON` biases, rad."""
+        varying = [source not in TURN_ON for source in self.sources]
+        return np.sqrt(self.variance[:, varying].sum(axis=1))
 
     def shares(self, time_s: float) -> dict[str, float]:
         """Return the part of each source in the variance at a time, the largest first."""

@@ -24,7 +24,7 @@ LEFT_OUT = {
 """Sources of errors, see `advice.heading.SOURCES`, for which a method has no unknowns."""
 
 _MOST_LOSS, _LOSS_PER_RAD = 0.2, 0.5
-"""What large heading errors add to those of the filter, see docs/advise.md."""
+"""What large errors of the heading that vary add to those of the filter, see docs/advise.md."""
 
 
 class Choice(NamedTuple):
@@ -45,11 +45,17 @@ class Choice(NamedTuple):
         """The sections as TOML."""
         return tomli_w.dumps(self.sections).strip()
 
-    def expected_sigma(self, sigma: float) -> float:
-        """Return the 1 sigma to expect, rad, from that of linear theory."""
+    def expected_sigma(self, sigma: float, varying: float = 0.0) -> float:
+        """Return the 1 sigma to expect, rad, from that of linear theory.
+
+        Args:
+            sigma: of linear theory, rad.
+            varying: part of it that is not of constant biases, rad.
+        """
         if self.method == FIT:
             return sigma
-        return sigma * (1 + min(_MOST_LOSS, _LOSS_PER_RAD * sigma))
+        more = 1 + min(_MOST_LOSS, _LOSS_PER_RAD * varying)
+        return math.sqrt(sigma**2 + (more**2 - 1) * varying**2)
 
 
 def choose_method(sheet: Sheet) -> Choice:

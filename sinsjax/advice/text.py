@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from sinsjax.advice import method as methods
-from sinsjax.advice.advise import TURN_ON, Advice, expect_heading, format_angle
-from sinsjax.advice.heading import SOURCES
+from sinsjax.advice.advise import Advice, format_angle
+from sinsjax.advice.heading import SOURCES, TURN_ON, wrapped_rms
 from sinsjax.bounds.turn_planner import TurnOption
 from sinsjax.methods.filters.keys import level_surge
 from sinsjax.units import ARCMIN, DEG
@@ -154,21 +154,20 @@ def _describe_turns(advice: Advice) -> str:
         return "hardly pays: the noise and not the biases decide, or there is no time for it"
     ways = [
         one
-        for one in turns.options
-        if one.name in ("parked", "half turn", turns.best.name) and one.sigma_arcmin <= parked
+        for one in turns.options[1:]
+        if one.name in ("half turn", turns.best.name) and one.sigma_arcmin <= parked
     ]
-    errors = (expect_heading(advice.choice, 0.0, one.sigma_arcmin * ARCMIN) for one in ways)
-    numbers = (
-        f"{_describe_option(one)} {format_angle(error.rms_arcmin)}"
-        for one, error in zip(ways, errors, strict=True)
-    )
-    return f"on a {_name_motion(advice)} base: {', '.join(numbers)}"
+    errors = [format_angle(advice.heading.rms_arcmin)]
+    errors += [format_angle(wrapped_rms(one.sigma_arcmin * ARCMIN) / ARCMIN) for one in ways]
+    names = ("no turn", *map(_describe_option, ways))
+    numbers = ", ".join(f"{name} {error}" for name, error in zip(names, errors, strict=True))
+    return f"on a {_name_motion(advice)} base: {numbers}"
 
 
 def _describe_option(option: TurnOption) -> str:
     if option.name == "half turn":
         return f"one 180 deg turn at {option.motion['turn_times_s'][0]:g} s"
-    return "no turn" if option.name == "parked" else option.name
+    return option.name
 
 
 def _describe_passes(advice: Advice) -> str:

@@ -2,7 +2,7 @@
 
 The errors of the information bound, see `bounds.information`, are the states of a Kalman filter
 that measures the computed velocity u after each step: the misalignment phi, the states of drifts,
-surge and vibration, and the constant errors. An alignment method models some of them, with their true
+surge and vibration, and the constant errors. An alignment method models some of them, with true
 sizes, and has no states for the others. Its gains follow from the covariance of those that it
 models. The heading error at a time t is then a known sum of all that happens before,
 
@@ -56,7 +56,7 @@ def heading_variances(
     """
     grid = StepGrid.of_times(times_s, problem)
     increment_errors = problem.increment_errors(grid.step)
-    processes = stack_processes(increment_errors)
+    processes = stack_processes(tuple(increment_errors.values()))
     sigmas = problem.constant_sigmas
     constant = np.flatnonzero(sigmas)
     n = 3 + len(processes.transition)

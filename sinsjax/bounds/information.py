@@ -221,7 +221,7 @@ def heading_bound(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarr
         (times,); infinite while the heading is not observable.
     """
     grid = StepGrid.of_times(times_s, problem)
-    processes = stack_processes(problem.increment_errors(grid.step))
+    processes = stack_processes(tuple(problem.increment_errors(grid.step).values()))
     sigmas = problem.constant_sigmas
     unknown = sigmas > 0
     information = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
@@ -321,9 +321,8 @@ class Processes(NamedTuple):
     owner: np.ndarray
 
 
-def stack_processes(by_source: IncrementErrors) -> Processes:
+def stack_processes(errors: Sequence[IncrementError]) -> Processes:
     """Return the processes of three axes each, one after the other."""
-    errors = tuple(by_source.values())
     count, n = len(errors), sum(3 * len(error.process.drive) for error in errors)
     shapes = (n, n), (count, 3, n), (count, n, 3), (count, n, n)
     out = Processes(errors, *map(np.zeros, shapes), np.zeros(n, int))
