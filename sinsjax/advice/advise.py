@@ -430,13 +430,11 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             "the surge of the base is taken for a process of known rms and correlation time"
             " (surge_m_per_s, surge_time_s); a gust or a step that is not like it costs more"
         )
-    speed = vibration_speed(advice.sheet)
-    quiet = methods.accel_density(advice.sheet) * _UG + level_surge(motion.get("surge_m_per_s"))
-    if speed > 0.5 * quiet:
+    if (speed := _swing_speed(motion)) > 0.5 * methods.accel_density(advice.sheet) * _UG:
         yield (
-            f"vibration moves the sensors at {speed:.2g} m/s rms, of which {advice.choice.method}"
-            " knows nothing: errors are above the numbers here (gravity_fit with laser gyros at"
-            " 0.00026 m/s: 1.5 times after 60 s, 1.1 times after 300 s; at 0.12 m/s: 100 times)"
+            f"angular vibration swings the sensors at the end of the lever arm at {speed:.2g} m/s"
+            f" rms, of which {advice.choice.method} knows nothing: errors are above the numbers"
+            " here, up to 100 times"
         )
     known = asked.known_heading_deg
     if known is not None and known * 60 < here.rms_arcmin:
@@ -470,18 +468,10 @@ def _describe_dominant(advice: Advice) -> str:
     return f"{text} of {bias:.3g} deg/h; the level part of the Earth rate is {rate:.3g} deg/h"
 
 
-def vibration_speed(sheet: Sheet) -> float:
-    """Return the rms speed along an axis at which vibration moves the sensors, m/s.
-
-    Linear vibration does, and angular vibration at the end of a lever arm.
-    """
-    motion = sheet.tables["motion"]
-    rms = {
-        key: float(np.max(np.abs(np.asarray(motion.get(key, 0.0), float))))
-        for key in ("vibration_ug_rms", "vibration_deg_per_h_rms", "lever_arm_m")
-    }
-    linear = rms["vibration_ug_rms"] * _UG / (2 * math.pi * motion.get("vibration_hz", 30.0))
-    return math.hypot(linear, rms["vibration_deg_per_h_rms"] * DEG_PER_H * rms["lever_arm_m"])
+def _swing_speed(motion: Mapping[str, Any]) -> float:
+    """Return the rms speed, m/s, at which angular vibration moves the end of the lever arm."""
+    rate, arm = motion.get("vibration_deg_per_h_rms", 0.0), motion.get("lever_arm_m", 0.0)
+    return float(np.max(np.abs(rate)) * DEG_PER_H * np.max(np.abs(arm)))
 
 
 def finite_or_none(value: float) -> float | None:

@@ -324,8 +324,14 @@ class Processes(NamedTuple):
 def stack_processes(errors: Sequence[IncrementError]) -> Processes:
     """Return the processes of three axes each, one after the other."""
     count, n = len(errors), sum(3 * len(error.process.drive) for error in errors)
-    shapes = (n, n), (count, 3, n), (count, n, 3), (count, n, n)
-    out = Processes(errors, *map(np.zeros, shapes), np.zeros(n, int))
+    out = Processes(
+        errors,
+        transition=np.zeros((n, n)),
+        output=np.zeros((count, 3, n)),
+        drive=np.zeros((count, n, 3)),
+        begin=np.zeros((count, n, n)),
+        owner=np.zeros(n, int),
+    )
     axes, at = np.eye(3), 0
     for source, (process, *_) in enumerate(errors):
         own = slice(at, at + 3 * len(process.drive))

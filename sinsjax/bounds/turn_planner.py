@@ -194,7 +194,7 @@ def compare_turns(
         turning = partial(_turn_base, motion, problem.place, duration_s)
         base = replace(problem, motion=turning) if motion else problem
         variances = heading_variances([duration_s], base, left_out)
-        sigma = math.sqrt(sum(variances.values()).item())
+        sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
         options.append(TurnOption(name, sigma / ARCMIN, motion))
     return TurnChoice(tuple(options))
 
