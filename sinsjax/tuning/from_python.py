@@ -85,7 +85,6 @@ class TuningResults:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
         return display.format_text(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
-
     def _facts(self) -> dict[str, str]:
         point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())
         score, baseline = map(format_estimate, (self.score, self.baseline))
