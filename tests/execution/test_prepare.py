@@ -6,12 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support.commands import Command, command_line
-from support.stored_results import store_results
 from support.studies import PAPER, small_study
-from support.synthetic_tables import synthetic_summary
 
 import sinsjax
 from sinsjax.arena.simulated_record import simulated_record
@@ -32,7 +29,6 @@ ONCE = (
     "forecast.check_resources",
     "resume.check_available",
     "directory.check_unlocked",
-    "directory.lock_directory",
     "load.load_with_notes",
     "load.load_study",  # of the results, by the report
 )
@@ -91,23 +87,18 @@ def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> No
 
 
 @pytest.mark.nightly
-def test_align_analyses_its_record_once(
-    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
-) -> None:
-    log, config, _ = recorded
-    calls = count_calls(lambda: run_command("align", log, config, "-o", tmp_path / "out"))
-    expected = dict.fromkeys(ONCE, 1) | {"checks.study_warnings": 0}
-    assert {name: calls[name] for name in ONCE} == expected
-    assert calls["psins.read_psins"] == 1
-    assert calls["checks.check_record"] == calls["checks.check_stationary"] == 1
-
-
-@pytest.mark.nightly
-def test_python_align_gives_rows_of_command(
+def test_align_reads_its_record_once_and_python_gives_its_rows(
     run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
 ) -> None:
     log, config, study = recorded
-    code, _, error = run_command("align", log, config, "-o", tmp_path / "out")
+    printed = []
+    calls = count_calls(
+        lambda: printed.extend(run_command("align", log, config, "-o", tmp_path / "out"))
+    )
+    once = dict.fromkeys(ONCE, 1) | {"checks.study_warnings": 0, "psins.read_psins": 1}
+    once |= {"checks.check_record": 1, "checks.check_stationary": 1}
+    assert {name: calls[name] for name in once} == once
+    code, _, error = printed
     assert code == 0 and error.count("\n") == error.count("cannot be determined") == 1
     stored, curves = sinsjax.read_summary(tmp_path / "out"), sinsjax.read_curves(tmp_path / "out")
     for results in (sinsjax.align(log, config), sinsjax.align(str(log), study)):
@@ -146,26 +137,3 @@ def test_refused_study_leaves_directory_as_it_was(tmp_path: Path) -> None:
     job = prepare_job(wrong, options=RunOptions(out))
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()
-
-
-def test_added_axis_value_is_refused_with_way_on(tmp_path: Path) -> None:
-    first = small_study(axes={"p0_yaw_deg": [10.0, 40.0]})
-    more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
-    out = store_results(tmp_path / "out", first, synthetic_summary(first))
-    with pytest.raises(InputError) as refused:
-        sinsjax.run_into(more, out, resume=True)
-    line = str(refused.value)
-    assert "[axes] p0_yaw_deg: [10.0, 40.0] there, [10.0, 40.0, 60.0] here" in line
-    assert "axes.p0_yaw_deg=[60.0], into another directory" in line
-
-
-@pytest.mark.nightly
-def test_axis_value_in_another_directory_has_rows_of_whole_axis(tmp_path: Path) -> None:
-    """The way on that the refusal of an added value names."""
-    more = small_study(axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
-    sinsjax.run_into(small_study(axes={"p0_yaw_deg": [10.0, 40.0]}), tmp_path / "out")
-    sinsjax.run_into(small_study(axes={"p0_yaw_deg": [60.0]}), tmp_path / "more")
-    whole = sinsjax.run(more).summary
-    there = [sinsjax.read_summary(tmp_path / name) for name in ("out", "more")]
-    errors = np.sort(np.concatenate([table["phi_u_arcmin"].to_numpy() for table in there]))
-    assert np.array_equal(errors, np.sort(whole["phi_u_arcmin"].to_numpy()))
