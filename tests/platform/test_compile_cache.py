@@ -91,19 +91,12 @@ def test_folder_writable_by_others_is_refused_or_not_used(
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        ("{}/file", ".*/file/jaxlib.*: Not a directory"),
-        ("~nosuchuser/x", "~nosuchuser/x: no such user"),
-    ],
-)
 def test_cache_folder_that_cannot_be_created_raises_input_error(
-    settings: pytest.MonkeyPatch, tmp_path: Path, asked: str, told: str
+    settings: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("")
-    settings.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
-    with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
+    settings.setenv(compile_cache.VARIABLE, f"{tmp_path}/file")
+    with pytest.raises(InputError, match=r"^SINSJAX_COMPILE_CACHE: .*/file/jaxlib.*: Not a dir"):
         compile_cache.enable_cache()
 
 
