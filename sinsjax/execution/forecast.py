@@ -151,12 +151,11 @@ def forecast_tuning(study: Study) -> Forecast:
 
 
 def check_resources(
-    study: Study, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
+    forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
     """Reject a study that exceeds disk or memory; a resumed one needs only its missing runs.
 
     Args:
-        study: checked study.
         forecast: forecast of the study.
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed first.
@@ -181,8 +180,8 @@ def check_resources(
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of"
-            f" memory, but this machine has only {format_bytes(available)}"
+            f"{forecast.runs:,} runs need about {format_bytes(forecast.memory)} of memory, but this"
+            f" machine has only {format_bytes(available)}"
         )
 
 

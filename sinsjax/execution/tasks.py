@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import count, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -174,7 +174,7 @@ class TaskRunner:
         ]
         self._lock = threading.Lock()
         self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
-        self._compiling = lru_cache(None)(self._begin_to_compile)
+        self._compiling = lru_cache(None)(partial(self._compilers.submit, self._compile))
         self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
         self._blank_batch(0, self._split_draws(self.stages[0])[0])
 
@@ -278,9 +278,6 @@ class TaskRunner:
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""
         self._compilers.shutdown(wait=False, cancel_futures=True)
-
-    def _begin_to_compile(self, program: int, draws: range) -> Future:
-        return self._compilers.submit(self._compile, program, draws)
 
     def _compile(self, program: int, draws: range) -> None:
         batch = self._blank_batch(program, draws)
