@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import count, groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -174,7 +174,9 @@ class TaskRunner:
         ]
         self._lock = threading.Lock()
         self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
-        self._compiling = lru_cache(None)(partial(self._compilers.submit, self._compile))
+        self._compiling = lru_cache(None)(
+            lambda program, draws: self._compilers.submit(self._compile, program, draws)
+        )
         self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
         self._blank_batch(0, self._split_draws(self.stages[0])[0])
 
