@@ -126,7 +126,6 @@ def load_job(
         directory=path,
         overwrite=options.overwrite,
         resume=options.resume,
-        manifest_state=None if path is None else resume.manifest_state(path),
         source=_source_label(source, options.source),
         notes=tuple(notes),
     )
@@ -237,12 +236,7 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     subdirectory = job.directory / name
     directory.check_unlocked(subdirectory)
     resume.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
-    job = job._replace(
-        study=study,
-        curves=False,
-        directory=subdirectory,
-        manifest_state=resume.manifest_state(subdirectory),
-    )
+    job = job._replace(study=study, curves=False, directory=subdirectory)
     return resume.continue_job(job) if job.resume else job
 
 

@@ -49,7 +49,6 @@ class Job(NamedTuple):
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
-        manifest_state: content of the directory's manifest when it was checked.
         source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
         notes: further information for the user, one line each.
@@ -64,7 +63,6 @@ class Job(NamedTuple):
     directory: Path | None = None
     overwrite: bool = False
     resume: bool = False
-    manifest_state: bytes | None = None
     source: str | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

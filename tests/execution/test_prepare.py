@@ -27,7 +27,6 @@ ONCE = (
     "checks.study_warnings",
     "forecast.forecast_sweep",
     "forecast.check_resources",
-    "resume.check_available",
     "directory.check_unlocked",
     "load.load_with_notes",
     "load.load_study",  # of the results, by the report

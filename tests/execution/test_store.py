@@ -224,10 +224,15 @@ def test_results_written_before_lock_are_not_lost(
     out: Path, uninterrupted: Path, tmp_path: Path
 ) -> None:
     """Two starts at a time on a new directory, of which one had ended when the other took hold."""
-    for study, chunk_runs in ((STUDY, None), (sweep_study(study={"seed": 2}), CHUNK_RUNS)):
-        options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=True)
+    other = sweep_study(study={"seed": 2})
+    for study, chunk_runs, resume, line in (
+        (STUDY, None, True, "another process has just written there"),
+        (other, CHUNK_RUNS, True, "contains results of another study"),
+        (other, CHUNK_RUNS, False, "already contains results"),
+    ):
+        options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=resume)
         late = prepare_job(study, options=options)._replace(directory=out)
-        with pytest.raises(InputError, match="another process has just written there"):
+        with pytest.raises(InputError, match=line):
             store.DirectoryStore(late, {})
     assert read_parts(out) == read_parts(uninterrupted)
 
