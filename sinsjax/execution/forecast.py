@@ -91,8 +91,8 @@ class Forecast(NamedTuple):
         later, first = map(_format_duration, (later_s, first_s))
         return (
             f"{prefix}{runs}: roughly {later} on {processors} ({first} the first time, which"
-            f" compiles {format_count(self.programs, 'program')}), {format_bytes(self.memory)} of"
-            " memory,"
+            f" compiles {format_count(self.programs, 'program')}),"
+            f" {format_bytes(self.memory)} of memory,"
             f" {format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
@@ -148,12 +148,13 @@ def forecast_tuning(study: Study) -> Forecast:
 
 
 def check_resources(
-    forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
+    name: str, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
     """Reject a study that exceeds disk or memory; a resumed one needs only its missing runs.
 
     Args:
-        forecast: forecast of the study.
+        name: name of the study.
+        forecast: its forecast.
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed first.
         resume: whether existing results are kept.
@@ -177,8 +178,8 @@ def check_resources(
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
-            f"{forecast.runs:,} runs need about {format_bytes(forecast.memory)} of memory, but this"
-            f" machine has only {format_bytes(available)}"
+            f"{name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of memory,"
+            f" but this machine has only {format_bytes(available)}"
         )
 
 

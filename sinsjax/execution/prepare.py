@@ -166,7 +166,7 @@ def finish_job(job: Job, expected_cost: Forecast) -> Job:
     study, notes = job.study, list(job.notes)
     read_attitude(study)
     forecast.check_resources(
-        expected_cost, job.directory, overwrite=job.overwrite, resume=job.resume
+        study.name, expected_cost, job.directory, overwrite=job.overwrite, resume=job.resume
     )
     checks.check_plugins(study, job.stored)
     doubts = job.warnings if study.is_recorded else tuple(checks.study_warnings(study))

@@ -49,7 +49,7 @@ def test_study_that_exceeds_disk_or_memory_is_refused_without_listing_runs(
     with limit_memory_mb(200), pytest.raises(InputError, match=line):  # a list of runs is 7,000
         run.run_into(huge_study(), out)
     disk(memory=5e8)
-    line = "^896,000 runs need about .*MB of memory, but this machine has only 500 MB$"
+    line = "^study: 896,000 runs need about .*MB of memory, but this machine has only 500 MB$"
     with pytest.raises(InputError, match=line):
         run.run_into(huge_study(draws=1), out)
     assert not out.exists()
@@ -63,7 +63,7 @@ def test_only_disk_space_of_missing_runs_is_needed(disk: Any, tmp_path: Path) ->
         disk(free=runs * expected.run_bytes, memory=expected.memory)
         chosen = {"overwrite": False, "resume": False} | options
         try:
-            forecast.check_resources(expected, tmp_path, **chosen)
+            forecast.check_resources(study.name, expected, tmp_path, **chosen)
         except InputError as error:
             assert "the results of 3 runs need about" in str(error)
             return False
