@@ -18,10 +18,8 @@ from support.sweep_directories import read_files_and_times
 import sinsjax
 from sinsjax import cli, plots
 from sinsjax.errors import InputError
-from sinsjax.execution import results as results_reading
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
-    Manifest,
     check_unlocked,
     lock_directory,
     owned_files,
@@ -29,7 +27,6 @@ from sinsjax.execution.directory import (
 )
 from sinsjax.execution.results import Results
 from sinsjax.platform import files
-from sinsjax.study.identity import sections_to_json
 from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 
@@ -176,19 +173,6 @@ def test_edited_study_of_results_is_named(results: Path, tmp_path: Path) -> None
         Results.read(out)
     sinsjax.run_into(STUDY, out, resume=True)
     assert Results.read(out).study == STUDY
-
-
-def test_results_of_a_study_with_settings_that_only_1_0_read_are_its_own() -> None:
-    """Version 1.0 wrote them into the manifest of every study with [tune]."""
-    study = small_study(tune={"variables": {"p0_yaw_deg": {"low": 10.0, "high": 90.0}}})
-    moved = study.motion.model_copy(update={"attitude_file": "gone.csv"})
-    study = study.model_copy(update={"motion": moved})
-    stored = sections_to_json(study)
-    stored["tune"] |= {"evolution_screen": 64, "evolution_steps": 12, "feedback_phases": 4}
-    begun = Manifest(identity="", study=stored)
-    assert results_reading._is_study_of(begun, study)
-    stored["tune"]["tune_draws"] = 3
-    assert not results_reading._is_study_of(begun.model_copy(update={"study": stored}), study)
 
 
 # --- seals --------------------------------------------------------------------------------------
