@@ -155,7 +155,6 @@ def score_results(
         curves=False,
         directory=target,
         overwrite=overwrite,
-        manifest_state=resume.manifest_state(target),
         source=f"{study.name} with {Path(results).name}",
         warnings=tuple(doubts),
     )

@@ -15,7 +15,8 @@ from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.records import Record, RecordLayout, require_span
-from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
+from sinsjax.records.checks import Finding, StationaryValues, check_stationary, report_anomalies
+from sinsjax.records.layout import Anomaly
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -51,10 +52,10 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 
 def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
-    hidden_north_warning = hidden_north(study)
+    hidden = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
     lines += [*useless_methods(study), *band_warnings(study)]
-    return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
+    return [*lines, *([hidden] if hidden else [])]
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
@@ -132,32 +133,28 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
         gyro_bias_deg_per_h=section.gyro_bias_deg_per_h,
         accel_bias_ug=section.accel_bias_ug,
     )
-    used, hides_north = _used_spans(study, record), ""
-    for anomaly in report_anomalies(record.anomalies, used):
-        text = f"{record.source}: {anomaly.text}"
-        if anomaly.hides_north:
-            hides_north = text
-        elif anomaly.is_certain and not section.trust:
-            raise InputError(f"{text} ({_TRUST_HINT})")
-        else:
-            lines.append(text)
-    constant_channels = [
-        anomaly.text
-        for anomaly in record.anomalies
-        if (anomaly.begin, anomaly.end) == (0, len(record.dv))
+    used = _used_spans(study, record)
+    found: list[tuple[str, Anomaly | Finding]] = [
+        (f"{record.source}: {anomaly.text}", anomaly)
+        for anomaly in report_anomalies(record.anomalies, used)
     ]
     for begin, end in used:
         begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
         where = f"{record.source}: {begin_s} to {end_s} s"
-        for finding in check_stationary(record, (begin, end), layout, expected):
-            if finding.hides_north:
-                hides_north = hides_north or f"{where}: {finding.text}"
-            elif finding.is_certain and not section.trust:
-                # A constant channel may be the cause, and only this error is shown.
-                text = "; ".join([finding.text, *constant_channels])
-                raise InputError(f"{where}: {text} ({_TRUST_HINT})")
-            else:
-                lines.append(f"{where}: {finding.text}")
+        findings = check_stationary(record, (begin, end), layout, expected)
+        found += [(f"{where}: {finding.text}", finding) for finding in findings]
+    hides_north = ""
+    for text, finding in found:
+        if finding.hides_north:
+            hides_north = hides_north or text
+        elif finding.is_certain and not section.trust:
+            # A constant channel may be the cause, and only this error is shown.
+            whole = (0, len(record.dv))
+            constant = [a.text for a in record.anomalies if (a.begin, a.end) == whole]
+            causes = [cause for cause in constant if cause not in text]
+            raise InputError(f"{'; '.join([text, *causes])} ({_TRUST_HINT})")
+        else:
+            lines.append(text)
     return RecordCheck(lines, hides_north)
 
 

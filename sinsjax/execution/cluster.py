@@ -113,10 +113,12 @@ class _Workers:
 
     def check(self) -> dict[str, Any]:
         """Wait for workers, compare them, and return facts about them."""
-        while not self._count_threads():
-            time.sleep(_POLL_S)
         try:
+            while not self._count_threads():
+                time.sleep(_POLL_S)
             installed = self._client.run(_describe_process)
+        except InputError:
+            raise
         except Exception as error:  # workers may have another sinsjax, or none
             text = f"its workers cannot run sinsjax: {first_error_line(error)}"
             raise InputError(

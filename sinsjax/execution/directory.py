@@ -128,6 +128,9 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
         manifest = sealed.read_sealed_json(directory / MANIFEST)
     except FileNotFoundError:
         raise InputError(f"{directory}: contains no results ({MANIFEST} is missing)") from None
+    except DamagedError as error:
+        remedy = "restore it; `sinsjax.read_summary` with verify=False reads the rows"
+        raise DamagedError(f"{error} ({remedy})") from None
     schema = shorten(to_one_line(str(manifest.get("schema", columns.SCHEMA_VERSION))), 20)
     if schema != columns.SCHEMA_VERSION:
         versions = manifest.get("versions")

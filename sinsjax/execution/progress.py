@@ -151,9 +151,14 @@ class _Display:
     def update(self, now: RunProgress) -> None:
         pace = self._format_pace(now)
         if self._console.is_terminal:
-            description = self._name if pace else f"{self._name} ({now.compiling})"
-            counts = {"completed": now.done, "total": now.total, "counted": now.unit}
-            self._bar.update(self._task, description=description, pace=pace, **counts)
+            self._bar.update(
+                self._task,
+                description=self._name if pace else f"{self._name} ({now.compiling})",
+                completed=now.done,
+                total=now.total,
+                counted=now.unit,
+                pace=pace,
+            )
         elif self._started:
             self._print_if_due(now, pace)
 

@@ -95,8 +95,9 @@ def rerun_stored_run(
     if not 0 <= run_id < runs:
         raise InputError(f"{directory}: has no run {run_id} (runs are numbered 0 to {runs - 1})")
     stored = read_summary(directory, run_ids=[run_id], verify=False)  # verified above
-    if not stored.num_rows:
-        raise InputError(f"{directory}: run {run_id} has no row yet (continue with `--resume`)")
+    if stored.num_rows != 1:
+        text = f"has {stored.num_rows} rows of run {run_id} (`--resume` computes missing ones)"
+        raise InputError(f"{directory}: {text}")
     if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
         raise InputError(f"{out}: already contains {existing[0]} (give another directory)")
     target = directory / "reruns" / str(run_id) if out is None else out

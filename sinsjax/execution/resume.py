@@ -17,7 +17,6 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import shorten, to_one_line
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
-from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import describe_differences, fingerprint, with_draws
 from sinsjax.study.study import Study
 
@@ -52,14 +51,6 @@ def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
             f"{directory}: already contains results (give --resume to continue them, or --overwrite"
             " to replace them; in Python resume=True or overwrite=True)"
         )
-
-
-def manifest_state(directory: Path) -> bytes | None:
-    """Return the content of a directory's manifest, which every write changes; None without one."""
-    try:
-        return read_regular_file(directory / MANIFEST)
-    except (OSError, InputError):
-        return None
 
 
 def continue_job(job: Job) -> Job:

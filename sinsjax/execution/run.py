@@ -243,28 +243,14 @@ def run_job(
         store.unlock()
 
 
-def run_in_memory(job: Job, on_progress: ProgressCallback | None = None) -> dict[str, pa.Table]:
-    """Run a job in memory.
-
-    Args:
-        job: prepared job without a directory.
-        on_progress: called with the progress before the first chunk and after every one.
-
-    Returns:
-        The rows of all tasks by dataset, in any order.
-    """
-    sink = MemorySink()
-    _run_tasks(TaskRunner(job), sink, local_executor(), on_progress, threading.Event())
-    return sink.tables()
-
-
 def _run_to_results(
     job: Job, progress: bool | None, on_progress: ProgressCallback | None
 ) -> Results:
-    began = time.monotonic()
+    """Run a job in memory."""
+    began, sink = time.monotonic(), MemorySink()
     with python_progress(job.study.name, progress, on_progress) as show:
-        tables = run_in_memory(job, show)
-    order = [("run_id", "ascending"), ("time_s", "ascending")]
+        _run_tasks(TaskRunner(job), sink, local_executor(), show, threading.Event())
+    tables, order = sink.tables(), [("run_id", "ascending"), ("time_s", "ascending")]
     curves = tables.get(
         "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
     )

@@ -49,7 +49,6 @@ class Job(NamedTuple):
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
-        manifest_state: content of the directory's manifest when it was checked.
         source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
         notes: further information for the user, one line each.
@@ -64,7 +63,6 @@ class Job(NamedTuple):
     directory: Path | None = None
     overwrite: bool = False
     resume: bool = False
-    manifest_state: bytes | None = None
     source: str | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -174,7 +172,9 @@ class TaskRunner:
         ]
         self._lock = threading.Lock()
         self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
-        self._compiling = lru_cache(None)(self._begin_to_compile)
+        self._compiling = lru_cache(None)(
+            lambda program, draws: self._compilers.submit(self._compile, program, draws)
+        )
         self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
         self._blank_batch(0, self._split_draws(self.stages[0])[0])
 
@@ -278,9 +278,6 @@ class TaskRunner:
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""
         self._compilers.shutdown(wait=False, cancel_futures=True)
-
-    def _begin_to_compile(self, program: int, draws: range) -> Future:
-        return self._compilers.submit(self._compile, program, draws)
 
     def _compile(self, program: int, draws: range) -> None:
         batch = self._blank_batch(program, draws)

@@ -69,7 +69,7 @@ class MapPanel(NamedTuple):
     framed: tuple[int, int] | None = None
 
 
-def plot_map(
+def plot_map(  # noqa: PLR0913
     runs: Any,
     rows: str,
     columns: str,

@@ -18,7 +18,7 @@ _ARRAY_LAYOUT = RecordLayout("arrays")
 _AXIS_SUFFIXES = tuple(f"[:, {axis}]" for axis in range(3))
 
 
-def record_from_arrays(
+def record_from_arrays(  # noqa: PLR0913
     time: Any,
     gyro: Any,
     accel: Any,

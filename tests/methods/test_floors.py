@@ -261,6 +261,8 @@ def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
     }
     wgs84 = {"earth": "wgs84"}
     found = hidden_north(study_of("kalman5", study={"draws": 8}, earth=wgs84, drawn=drawn))
-    assert found is not None
-    assert found[:2] == pytest.approx((9.0, np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H))
-    assert found[2:] == (2, 8)
+    rate = np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H
+    assert (
+        found is not None and f"up to 9 deg/h, the level part of the Earth rate {rate:.3g}" in found
+    )
+    assert ": 2 of 8 runs cannot find north" in found
