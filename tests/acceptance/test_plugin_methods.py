@@ -4,13 +4,13 @@ import importlib
 import os
 import re
 import shutil
+import subprocess
+import sys
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command_server import CommandServer
 
 import sinsjax
 from sinsjax.errors import InputError
@@ -55,22 +55,29 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[CommandServer]:
-    """Runs command lines in processes that find the package."""
-    server = CommandServer()
-    yield server
-    server.close()
+def run_commands(site: Path, cwd: Path, *commands: str) -> list[subprocess.CompletedProcess]:
+    """Run command lines in processes that find the package."""
+    paths = f"{site}{os.pathsep}{EXAMPLE.parents[1]}"
+    return [
+        subprocess.run(
+            [sys.executable, "-m", "sinsjax", *command.split()],
+            env=os.environ | {"PYTHONPATH": paths},
+            cwd=cwd,
+            capture_output=True,
+            text=True,
+        )
+        for command in commands
+    ]
 
 
 @pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
-    server: CommandServer, site: Path, tmp_path: Path
+    site: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
-    commands = ("keys", "averaged"), ("info",), ("sweep", "averages.toml", "-o", "out")
-    keys, info, sweep = server(*commands, site=site, cwd=tmp_path)
+    commands = "keys averaged", "info", "sweep averages.toml -o out"
+    keys, info, sweep = run_commands(site, tmp_path, *commands)
     assert (keys.returncode, keys.stderr) == (0, "")
     assert "averaging_time_s" in keys.stdout and "time constant of the averages" in keys.stdout
     assert "package: averaged-alignment 1.0" in keys.stdout
@@ -115,7 +122,7 @@ EDITS = {
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", EDITS)
 def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(
-    server: CommandServer, site: Path, tmp_path: Path, name: str
+    site: Path, tmp_path: Path, name: str
 ) -> None:
     (file, old, new), line, marked = EDITS[name]
     (tmp_path / "averages.toml").write_text(STUDY)
@@ -123,8 +130,8 @@ def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studie
     text = (changed / file).read_text()
     assert old in text
     (changed / file).write_text(text.replace(old, new))
-    own = ("validate", "averages.toml"), ("sweep", "averages.toml", "-o", "out")
-    *wrong, other = server(*own, ("validate", "reset_sweep"), site=changed, cwd=tmp_path)
+    commands = "validate averages.toml", "sweep averages.toml -o out", "validate reset_sweep"
+    *wrong, other = run_commands(changed, tmp_path, *commands)
     assert (other.returncode, other.stderr) == (0, "")
     for ended in wrong:
         assert ended.returncode == 2 and ended.stderr.count("\n") == 1

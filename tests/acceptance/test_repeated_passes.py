@@ -28,7 +28,7 @@ QUICK: dict[str, Any] = {
 
 def repeating(**tables: Any) -> Study:
     """Return a study of two draws of 8 s with curves."""
-    settings = {"duration_s": 8.0, "rate_hz": 50.0, "draws": 2, "window_s": [1, 3], "curves": True}
+    settings = {"duration_s": 8.0, "draws": 2, "window_s": [1, 3], "curves": True}
     return small_study(study=settings, **tables)
 
 
