@@ -71,7 +71,7 @@ class Form(NamedTuple):
     blind: bool = False
 
 
-def export_study(
+def export_study(  # noqa: PLR0913
     study: Study | str | Path,
     directory: str | Path,
     *,
