@@ -26,7 +26,6 @@ from sinsjax.value_types import (
     Section,
     field,
     key_info,
-    otherwise,
     require_unique,
     rule_error,
 )
@@ -137,12 +136,12 @@ class EarthSection(Section):
         " ellipsoid with normal gravity",
         "constants",
     )
-    gravity_m_per_s2: vt.Positive | None = field("gravity", otherwise=9.8, usual_range=(9, 10.5))
+    gravity_m_per_s2: vt.Positive | None = field("gravity", default=9.8, usual_range=(9, 10.5))
     radius_m: vt.Positive | None = field(
-        "radius of the sphere", otherwise=6378137.0, usual_range=(6e6, 7e6)
+        "radius of the sphere", default=6378137.0, usual_range=(6e6, 7e6)
     )
     earth_rate_deg_per_h: vt.Positive | None = field(
-        "Earth rotation rate", otherwise=15.041067, usual_range=(10, 20)
+        "Earth rotation rate", default=15.041067, usual_range=(10, 20)
     )
     latitude_deg: vt.Elevation | None = field(
         "latitude, positive north. Required in a simulation, and if a record's header lacks it"
@@ -150,12 +149,13 @@ class EarthSection(Section):
     height_m: vt.Finite | None = field(
         "height above the ellipsoid or sphere",
         otherwise="that in the record's header, or 0",
+        in_simulation=0.0,
         usual_range=(-12e3, 1e6),
     )
 
 
 EARTH_CONSTANTS: dict[str, float] = {
-    key: otherwise(EarthSection, key) for key in EarthSection.conditions[0].keys
+    key: key_info(EarthSection.model_fields[key]).default for key in EarthSection.conditions[0].keys
 }
 """Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
