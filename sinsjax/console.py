@@ -3,6 +3,7 @@
 The reader may leave early (``| head -1``), and the disk it is redirected to may be full.
 """
 
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -47,7 +48,7 @@ class _FailsafeStream:
     """A stream whose write errors are remembered instead of raised; nothing if it is closed."""
 
     def __init__(self, stream: Any) -> None:
-        self._stream = open(os.devnull, "w") if stream is None else stream
+        self._stream = io.StringIO() if stream is None else stream
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:

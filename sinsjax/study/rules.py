@@ -28,7 +28,7 @@ from sinsjax.methods.filters.keys import (
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import refuse_other_angles
-from sinsjax.study.filter_noise import check_filter_noise
+from sinsjax.study.filter_noise import NOISE_RULES
 from sinsjax.study.keys import (
     COARSE_KEYS,
     KEYS,
@@ -112,6 +112,12 @@ def _check_trigger(study: Study) -> None:
     for key in TRIGGER_KEYS if points and not triggered else ():
         if study.gives(key):
             study.refuse(key, "requires a reset_trigger (give one, or drop this)")
+
+
+def _check_filter_noise(study: Study) -> None:
+    """Refuse a study that does not determine Q and R of its filters."""
+    if study.has("filter"):
+        _check_all([partial(rule, study) for rule in NOISE_RULES])
 
 
 def _check_idle_keys(study: Study) -> None:
@@ -439,7 +445,7 @@ def _check_tune_section(study: Study) -> None:
 _PRESENCE = (
     _check_required_keys,
     _check_idle_keys,
-    check_filter_noise,
+    _check_filter_noise,
     _check_trigger,
     refuse_other_angles,
 )

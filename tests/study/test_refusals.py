@@ -247,7 +247,7 @@ coarse.coarse_duration_s = 0.01              -> [coarse] coarse_duration_s: 0.01
 coarse.coarse_method = "none"                -> [coarse] coarse_method: 'none' 'inertial'
 record.start_s = [0, 30, 0.0]                -> [record] start_s: repeats
 record = {from_s = 30, start_s = [20, 40]}   -> [record] start_s: 20 30
-record.time_unit = "ms"                      -> [record] time_unit: time_column
+record.time_unit = "ms"                      -> [record] time_unit: 'psins'
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'psins'
 record = {format = "csv", accel_unit = "g", accel_columns = ["x", "y", "z"], gyro_unit = "rad"}
     -> [record] gyro_columns: required 'csv'
