@@ -447,7 +447,9 @@ def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
     return number if which == "count" else np.where(number > 0, number / rate_hz, np.nan)
 
 
-_is_recorded = attrgetter("is_recorded")  # a simulation has the truth to be judged by
+def _mean_nis(results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
+
 
 FILTER_COLUMNS = (
     OwnColumn(
@@ -458,33 +460,30 @@ FILTER_COLUMNS = (
     ),
     *(
         OwnColumn(
-            column(f"triggered_{which}_s", meaning),
+            column(f"triggered_{which}_s", f"time of the {which} of them; null for none"),
             partial(_triggered, which),
             applies_to=any_trigger,
         )
-        for which, meaning in (
-            ("first", "time of the first of them; null for none"),
-            ("last", "time of the last of them; null for none"),
+        for which in ("first", "last")
+    ),
+    *(
+        OwnColumn(column(name, meaning), value, applies_to=attrgetter("is_recorded"))
+        for name, meaning, value in (
+            (
+                "innovation_nis",
+                "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
+                _mean_nis,
+            ),
+            (
+                "innovation_freedom",
+                "degrees of freedom of their sum: 2 an update",
+                lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
+            ),
         )
     ),
-    OwnColumn(
-        column(
-            "innovation_nis",
-            "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
-        ),
-        lambda results, rate_hz: (
-            np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
-        ),
-        applies_to=_is_recorded,
-    ),
-    OwnColumn(
-        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
-        lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
-        applies_to=_is_recorded,
-    ),
 )
-"""Columns of triggers, and of innovations in a recorded study; an innovation_nis of 2 is expected
-of a consistent filter."""
+"""Columns of triggers, and of innovations in a recorded study (a simulation has the truth to be
+judged by); an innovation_nis of 2 is expected of a consistent filter."""
 
 
 def last_triggered_sample(results: Any) -> NDArray | None:

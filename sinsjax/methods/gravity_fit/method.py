@@ -258,50 +258,47 @@ def _is_given(sigma: Any) -> bool:
     return not isinstance(sigma, np.ndarray) or bool(sigma.any())
 
 
-def _column(
-    name: str, meaning: str, value: Callable[[Solution], Any] | None = None
-) -> method.OwnColumn:
-    read = value or attrgetter(name)
+def _column(name: str, meaning: str, read: Callable[[Solution], Any]) -> method.OwnColumn:
     return method.OwnColumn(
         column(f"fit_{name}", meaning), lambda results, rate_hz: np.asarray(read(results))
     )
 
 
-def _bias_column(axis: int, name: str) -> method.OwnColumn:
-    return _column(
-        f"gyro_bias_{name}_deg_per_h",
-        f"gyro bias of the {name} axis by the fit",
-        lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
-    )
+def _bias_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
 
 
-def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
-    return _column(
-        f"gyro_bias_{name}_sigma_deg_per_h",
-        "1 sigma of it",
-        lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
-    )
+def _bias_sigma_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
 
 
-_AXES = tuple(enumerate(("right", "front", "up")))
 COLUMNS = (
     _column(
         "misfit",
         "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
         " doubt",
+        attrgetter("misfit"),
     ),
     _column(
         "prior_ratio",
         "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
         " more than 3 is a doubt",
+        attrgetter("prior_ratio"),
     ),
     _column(
         "change",
         "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
         " fit has not converged",
+        attrgetter("change"),
     ),
-    *(_bias_column(*axis) for axis in _AXES),
-    *(_bias_sigma_column(*axis) for axis in _AXES),
+    *(
+        _column(f"gyro_bias_{name}{suffix}_deg_per_h", meaning.format(name), partial(read, axis))
+        for suffix, meaning, read in (
+            ("", "gyro bias of the {} axis by the fit", _bias_deg_per_h),
+            ("_sigma", "1 sigma of it", _bias_sigma_deg_per_h),
+        )
+        for axis, name in enumerate(("right", "front", "up"))
+    ),
 )
 
 
