@@ -6,6 +6,7 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -113,20 +114,18 @@ class Sweep(BaseModel):
         return dict.fromkeys(self.drawn_keys, ()) | swept
 
 
-def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
+def read_sweep(tables: TomlTable, errors: ErrorCollector) -> tuple[Sweep, frozenset[str]]:
     """Return what varies in a study.
 
     Args:
         tables: tables of the file, with tuples for lists.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
 
     Returns:
         Axes, zips, cases and drawn keys; and the keys that some cases have from their sections,
         where they do not count any more.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
     """
-    reader, axes, zips = _Reader("record" in tables, {}), Dimension(), dict[str, Dimension]()
+    reader, axes, zips = _Reader(tables, {}, errors), Dimension(), dict[str, Dimension]()
     for name, given in tables.get("axes", {}).items():
         if isinstance(given, Mapping):
             zips[name] = reader.read_axes(f"[axes.{name}]", given)
@@ -134,14 +133,13 @@ def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
             axes |= reader.read_axes("[axes]", {name: given})
     swept = Sweep(axes=axes, zips=zips).values_varied
     cases, inherited = tuple[TomlTable, ...](), frozenset[str]()
-    with reader.errors.collect():
-        cases, inherited = _read_cases(tables, reader, swept)
+    with errors.collect():
+        cases, inherited = _read_cases(reader, swept)
     fixed = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     reader.table_of = fixed | reader.table_of
     drawn = None
-    with reader.errors.collect():
+    with errors.collect():
         drawn = _read_drawn(tables["drawn"], reader) if "drawn" in tables else None
-    reader.errors.raise_all()
     return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn), inherited
 
 
@@ -249,17 +247,19 @@ def _type_of(key: str) -> Any:
     return Annotated[Union[kinds], *field.metadata] if field.metadata else Union[kinds]  # noqa: UP007
 
 
+@dataclass
 class _Reader:
     """The keys that vary, while their tables are read.
 
     Attributes:
-        recorded: whether the study reads a record.
+        tables: tables of the file.
         table_of: the table, in brackets, of each key so far, which is in one of them.
         errors: mistakes so far.
     """
 
-    def __init__(self, recorded: bool, table_of: dict[str, str]) -> None:
-        self.recorded, self.table_of, self.errors = recorded, table_of, ErrorCollector()
+    tables: TomlTable
+    table_of: dict[str, str]
+    errors: ErrorCollector
 
     def read(
         self, table: str, how: str, given: Mapping[str, Any], read: Callable[[Any, str, str], Any]
@@ -293,16 +293,16 @@ class _Reader:
 
     def _check_key(self, table: str, how: str, key: str) -> None:
         """Refuse a key that is unknown, cannot vary like this or is in another table too."""
-        section, possible = SECTION_OF.get(key), _VARYING[how]
+        section, possible, recorded = SECTION_OF.get(key), _VARYING[how], "record" in self.tables
         if section is None:
             reason = unknown_key_error(key, possible)
         elif key not in possible or key in _INSTEAD:
             is_drawn, hint = how == "drawn", _INSTEAD.get(key, f"it is a key of [{section}]")
             kinds = f"latitude_deg, keys of [motion] and [sensors], {', '.join(INITIAL_NUMBERS)}"
             reason = f"cannot be {how} ({f'possible: {kinds}' if is_drawn else hint})"
-        elif self.recorded and section in SIMULATED_ONLY:
+        elif recorded and section in SIMULATED_ONLY:
             reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
-        elif self.recorded and how == "drawn" and key not in INITIAL_NUMBERS:
+        elif recorded and how == "drawn" and key not in INITIAL_NUMBERS:
             kinds = ", ".join(INITIAL_NUMBERS)
             reason = f"cannot be drawn in a recorded study (possible: {kinds})"
         elif (other := self.table_of.setdefault(key, table)) != table:
@@ -320,19 +320,20 @@ def _check_distinct(rows: Sequence[Any], place: str) -> None:
 
 
 def _read_cases(
-    tables: TomlTable, reader: _Reader, axes: Mapping[str, Collection[Any]]
+    reader: _Reader, axes: Mapping[str, Collection[Any]]
 ) -> tuple[tuple[TomlTable, ...], frozenset[str]]:
     """Return the cases, each with the same keys, and the keys that some have from their sections.
 
     A key that a case leaves out has the value of its section, or its default; None if an
     alternative to it is given instead.
     """
+    tables, errors = reader.tables, ErrorCollector()
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
         raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
-    errors, keys = ErrorCollector(), dict.fromkeys(key for row in rows for key in row)
+    keys = dict.fromkeys(key for row in rows for key in row)
     columns = {key: {i: row[key] for i, row in enumerate(rows) if key in row} for key in keys}
     read = reader.read("[cases]", "swept", columns, _read_entries)
     if read.keys() < keys.keys():
@@ -416,44 +417,39 @@ def _read_law(value: Any, key: str, place: str) -> Distribution:
     return law
 
 
-def read_tune_section(table: TomlTable, varied: Mapping[str, str], *, recorded: bool) -> TomlTable:
-    """Return the section [tune] with checked ranges and values.
+def read_tune_section(
+    table: TomlTable, tables: TomlTable, varied: Mapping[str, str], errors: ErrorCollector
+) -> TomlTable:
+    """Return the section [tune] with checked ranges and values, without those that are wrong.
 
     Args:
-        table: table of the file, with tuples for lists.
+        table: its keys, with tuples for lists.
+        tables: tables of the file.
         varied: the table, in brackets, of each key that is swept or drawn.
-        recorded: whether the study reads a record.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
     """
-    table, errors = dict(table), ErrorCollector()
-    for key in table if recorded else ():
+    table = dict(table)
+    for key in table if "record" in tables else ():
         if leaf_info(key).in_simulation is not None:
             text = "does not apply to a recorded study (drop it: tuning uses the start times)"
             errors.add(f"[tune] {key}: {text}")
     for name, read in (("variables", _read_range), ("baseline", check_value)):
-        given, place = table.get(name, {}), f"[tune.{name}]"
-        if not isinstance(given, Mapping):
-            errors.add(f"[tune] {name}: must be a table of keys")
-        if not isinstance(given, Mapping) or not given:
-            continue
-        reader = _Reader(recorded, dict(varied))
-        table[name] = dict(given) | reader.read(place, "tuned", given, read)
-        own = dict.fromkeys(given, place)
-        if name == "variables" and {TIMES, COUNT} <= given.keys():
-            del own[COUNT]
-        for collect in (reader.errors.raise_all, partial(check_alternatives, {**varied, **own})):
+        given, place = table.get(name), f"[tune.{name}]"
+        if isinstance(given, Mapping):
+            table[name] = _Reader(tables, dict(varied), errors).read(place, "tuned", given, read)
+            own = dict.fromkeys(given, place)
+            if name == "variables" and {TIMES, COUNT} <= given.keys():
+                del own[COUNT]
             with errors.collect():
-                collect()
-    if "variables" in table and not table["variables"]:
+                check_alternatives({**varied, **own})
+    if table.get("variables") == {} and not errors.lines:
         errors.add("[tune.variables]: has no key to tune (give one with its range)")
-    errors.raise_all()
-    times, count = (table.get("variables", {}).get(key) for key in (TIMES, COUNT))
+    variables = table["variables"] if isinstance(table.get("variables"), dict) else {}
+    times, count = variables.get(TIMES), variables.get(COUNT)
     for number in (count.candidates or (count.fixed,)) if count and times else ():
         if isinstance(times, tuple) and number > len(times):
             text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
-            raise InputError(f"[tune.variables] {COUNT}: {text}")
+            errors.add(f"[tune.variables] {COUNT}: {text}")
     return table
 
 
