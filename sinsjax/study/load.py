@@ -22,6 +22,7 @@ from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
 from sinsjax.study.keys import (
+    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
@@ -238,15 +239,15 @@ def _check_tables(data: TomlTable) -> None:
             errors.add(f"[{name}]: must be a table of keys")
         elif recorded and name in SIMULATED_ONLY:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-        elif recorded and name == "study" and "draws" in table:
-            reason = "does not apply to a recorded study (drop it: a draw is a start time)"
-            errors.add(f"[study] draws: {reason}")
         elif name != "cases":
             for key, value in table.items():
                 if name in SECTIONS and key not in SECTIONS[name].model_fields:
                     errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
                 elif value is None:
                     errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
+                elif recorded and name in SECTIONS and KEYS[name, key].info.in_simulation:
+                    reason = "does not apply to a recorded study (drop it: one draw per start time)"
+                    errors.add(f"[{name}] {key}: {reason}")
     errors.raise_all()
 
 

@@ -15,7 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
+from sinsjax.messages import (
+    describe_broken_rule,
+    explain_error,
+    format_count,
+    format_list_index,
+    suggest_closest,
+)
 from sinsjax.study.defaults import GivenKeys, dependent_default
 from sinsjax.study.keys import (
     SECTION_OF,
@@ -25,7 +31,6 @@ from sinsjax.study.keys import (
     TUNABLE,
     TomlTable,
     alternative_keys,
-    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
@@ -143,14 +148,14 @@ def read_sweep(tables: TomlTable, errors: ErrorCollector) -> tuple[Sweep, frozen
     return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn), inherited
 
 
-def check_value(value: Any, key: str, place: str, *, many: bool = False) -> Any:
+def check_value(value: Any, key: str, place: str, *, many: type | None = None) -> Any:
     """Return a value of a key, as a study has it.
 
     Args:
         value: value to check.
         key: leaf key, or ``case``.
         place: place that an error names.
-        many: whether it is a list of values instead.
+        many: ``tuple`` or ``dict`` for several values, in a tuple or by their numbers.
 
     Raises:
         InputError: the key does not accept the value; a line per wrong entry.
@@ -231,10 +236,10 @@ def _check(
 
 
 @cache
-def _validator(key: str, many: bool = False) -> Callable[[Any], Any]:
-    kind: Any = Name if key == "case" else _type_of(key)
-    if many:
-        kind = Annotated[tuple[kind, ...], Field(min_length=1)]
+def _validator(key: str, many: type | None = None) -> Callable[[Any], Any]:
+    one: Any = Name if key == "case" else _type_of(key)
+    listed = Annotated[tuple[one, ...], Field(min_length=1)]
+    kind: Any = {None: one, tuple: listed, dict: dict[int, one]}[many]
     return TypeAdapter(kind, config=_STRICT).validate_python
 
 
@@ -275,7 +280,7 @@ class _Reader:
 
     def read_axes(self, table: str, given: Mapping[str, Any]) -> Dimension:
         """Return the values of an axis, or of the axes that a table varies together."""
-        joint = self.read(table, "swept", given, partial(check_value, many=True))
+        joint = self.read(table, "swept", given, partial(check_value, many=tuple))
         if joint.keys() < given.keys():
             return {}
         if not given:
@@ -335,7 +340,7 @@ def _read_cases(
         raise InputError("[cases]: must not be empty")
     keys = dict.fromkeys(key for row in rows for key in row)
     columns = {key: {i: row[key] for i, row in enumerate(rows) if key in row} for key in keys}
-    read = reader.read("[cases]", "swept", columns, _read_entries)
+    read = reader.read("[cases]", "swept", columns, partial(check_value, many=dict))
     if read.keys() < keys.keys():
         return (), frozenset()
     for i, row in enumerate(rows):
@@ -385,16 +390,6 @@ def _inherited_value(key: str, given: GivenKeys) -> Any:
     return default
 
 
-def _read_entries(entries: Mapping[int, Any], key: str, place: str) -> dict[int, Any]:
-    """Return the values of a key in some cases."""
-    errors, found = ErrorCollector(), dict[int, Any]()
-    for i, value in entries.items():
-        with errors.collect():
-            found[i] = check_value(value, key, f"{place}[{i}]")
-    errors.raise_all()
-    return found
-
-
 def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
     keys = {key: law for key, law in given.items() if key != "sampling"}
@@ -412,7 +407,7 @@ def _read_law(value: Any, key: str, place: str) -> Distribution:
     )
     for name in ("values", "grid"):
         if entries := getattr(law, name):
-            entries = check_value(entries, key, f"{place}.{name}", many=True)
+            entries = check_value(entries, key, f"{place}.{name}", many=tuple)
             law = law.model_copy(update={name: entries})
     return law
 
@@ -429,10 +424,6 @@ def read_tune_section(
         errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
     """
     table = dict(table)
-    for key in table if "record" in tables else ():
-        if leaf_info(key).in_simulation is not None:
-            text = "does not apply to a recorded study (drop it: tuning uses the start times)"
-            errors.add(f"[tune] {key}: {text}")
     for name, read in (("variables", _read_range), ("baseline", check_value)):
         given, place = table.get(name), f"[tune.{name}]"
         if isinstance(given, Mapping):
@@ -442,8 +433,8 @@ def read_tune_section(
                 del own[COUNT]
             with errors.collect():
                 check_alternatives({**varied, **own})
-    if table.get("variables") == {} and not errors.lines:
-        errors.add("[tune.variables]: has no key to tune (give one with its range)")
+            if name == "variables" and not given:
+                errors.add(f"{place}: has no key to tune (give one with its range)")
     variables = table["variables"] if isinstance(table.get("variables"), dict) else {}
     times, count = variables.get(TIMES), variables.get(COUNT)
     for number in (count.candidates or (count.fixed,)) if count and times else ():
@@ -463,17 +454,14 @@ def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
         return _check_range(value, kind, place)
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
-    if not value:
-        raise InputError(f"{place}: must not be empty")
-    if Ellipsis not in entries and len(value) != len(entries):
-        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    ranges = tuple(
-        _check_range(entry, entries[0], f"{place}[{i}]") for i, entry in enumerate(value)
-    )
-    for i, entry in enumerate(ranges):
-        if entry.candidates is not None:
+    if len(value) != (count := len(value) or 1 if Ellipsis in entries else len(entries)):
+        raise InputError(f"{place}: must have {format_count(count, 'range')}, not {len(value)}")
+    ranges = list[Range]()
+    for i, entry in enumerate(value):
+        ranges.append(_check_range(entry, entries[0], f"{place}[{i}]"))
+        if ranges[i].candidates is not None:
             raise InputError(f"{place}[{i}].candidates: must be of the whole key, not of one entry")
-    return ranges
+    return tuple(ranges)
 
 
 def _check_range(value: Any, kind: Any, place: str) -> Range:
