@@ -7,7 +7,6 @@ tables that vary a study. Values stay in the units of the file.
 """
 
 import difflib
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,14 @@ import tomli_w
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from sinsjax.errors import ErrorCollector, InputError, StudyWarning
+from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
 from sinsjax.methods.registry import register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
 from sinsjax.study.keys import (
+    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
@@ -67,9 +67,6 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     Raises:
         InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
-    Warns:
-        StudyWarning: an edited local file has the name of a shipped study.
-
     Examples:
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
         Study reset_sweep
@@ -89,8 +86,6 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
             hint = f"`sinsjax advise {source} --study FILE` writes a study of a data sheet"
             lines = (*lines, f"{name}: has no [alignment] ({hint})")
         raise InputError(*lines) from None
-    for line in files.describe_shadowed_study(source):
-        warnings.warn(line, StudyWarning, stacklevel=2)
     return study
 
 
@@ -171,9 +166,7 @@ def _read_study(data: TomlTable, name: str) -> Study:
     tables, errors = without_gone_settings(copy_tables(data, tuple)), ErrorCollector()
     _check_tables(tables)
     _register_external(tables)
-    sweep, inherited = Sweep(), frozenset[str]()
-    with errors.collect():
-        sweep, inherited = read_sweep(tables)
+    sweep, inherited = read_sweep(tables, errors)
     given = {  # the cases have the others
         section: {key: value for key, value in table.items() if key not in inherited}
         for section, table in tables.items()
@@ -186,17 +179,12 @@ def _read_study(data: TomlTable, name: str) -> Study:
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:
-        tune, recorded = sections["tune"], "record" in tables
-        sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
-        with errors.collect():
-            sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
+        sections["tune"] = read_tune_section(sections["tune"], tables, sweep.table_of, errors)
     try:
         varied = {name: getattr(sweep, name) for name in Sweep.model_fields}
         study = Study.model_validate(sections | varied)
     except ValidationError as error:
-        details = correctable_errors(error)
-        unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-        for detail in unknown or details:
+        for detail in correctable_errors(error):
             errors.add(_format_error(detail))
     errors.raise_all()
     for section, values in defaults.items():  # which the file does not give
@@ -236,7 +224,7 @@ def _check_tuning_points(study: Study) -> None:
 
 
 def _check_tables(data: TomlTable) -> None:
-    """Refuse unknown sections, and sections and keys that a recorded study cannot have."""
+    """Refuse unknown sections and keys, and those that a recorded study cannot have."""
     names, recorded = (*SECTIONS, *_SWEEP_TABLES), "record" in data
     errors = ErrorCollector()
     for name, table in data.items():
@@ -251,12 +239,15 @@ def _check_tables(data: TomlTable) -> None:
             errors.add(f"[{name}]: must be a table of keys")
         elif recorded and name in SIMULATED_ONLY:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-        elif recorded and name == "study" and "draws" in table:
-            reason = "does not apply to a recorded study (drop it: a draw is a start time)"
-            errors.add(f"[study] draws: {reason}")
         elif name != "cases":
-            for key in (key for key, value in table.items() if value is None):
-                errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
+            for key, value in table.items():
+                if name in SECTIONS and key not in SECTIONS[name].model_fields:
+                    errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
+                elif value is None:
+                    errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
+                elif recorded and name in SECTIONS and KEYS[name, key].info.in_simulation:
+                    reason = "does not apply to a recorded study (drop it: one draw per start time)"
+                    errors.add(f"[{name}] {key}: {reason}")
     errors.raise_all()
 
 
@@ -278,7 +269,5 @@ def _format_error(error: ErrorDetails) -> str:
     hint = ""
     if error["type"] == "missing" and len(error["loc"]) == 2:
         hint = f" ({key_summary(section, str(key))})"
-    if error["type"] == "extra_forbidden":
-        return f"[{section}] {key}: {_unknown_key_text(str(key), section)}"
     text = explain_error(error, f"{section}.{key}")
     return f"[{section}] {key}{format_list_index(error)}: {text}{hint}"

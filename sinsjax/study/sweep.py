@@ -6,6 +6,7 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -14,7 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
+from sinsjax.messages import (
+    describe_broken_rule,
+    explain_error,
+    format_count,
+    format_list_index,
+    suggest_closest,
+)
 from sinsjax.study.defaults import GivenKeys, dependent_default
 from sinsjax.study.keys import (
     SECTION_OF,
@@ -24,7 +31,6 @@ from sinsjax.study.keys import (
     TUNABLE,
     TomlTable,
     alternative_keys,
-    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
@@ -113,20 +119,18 @@ class Sweep(BaseModel):
         return dict.fromkeys(self.drawn_keys, ()) | swept
 
 
-def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
+def read_sweep(tables: TomlTable, errors: ErrorCollector) -> tuple[Sweep, frozenset[str]]:
     """Return what varies in a study.
 
     Args:
         tables: tables of the file, with tuples for lists.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
 
     Returns:
         Axes, zips, cases and drawn keys; and the keys that some cases have from their sections,
         where they do not count any more.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
     """
-    reader, axes, zips = _Reader("record" in tables, {}), Dimension(), dict[str, Dimension]()
+    reader, axes, zips = _Reader(tables, {}, errors), Dimension(), dict[str, Dimension]()
     for name, given in tables.get("axes", {}).items():
         if isinstance(given, Mapping):
             zips[name] = reader.read_axes(f"[axes.{name}]", given)
@@ -134,25 +138,24 @@ def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
             axes |= reader.read_axes("[axes]", {name: given})
     swept = Sweep(axes=axes, zips=zips).values_varied
     cases, inherited = tuple[TomlTable, ...](), frozenset[str]()
-    with reader.errors.collect():
-        cases, inherited = _read_cases(tables, reader, swept)
+    with errors.collect():
+        cases, inherited = _read_cases(reader, swept)
     fixed = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     reader.table_of = fixed | reader.table_of
     drawn = None
-    with reader.errors.collect():
+    with errors.collect():
         drawn = _read_drawn(tables["drawn"], reader) if "drawn" in tables else None
-    reader.errors.raise_all()
     return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn), inherited
 
 
-def check_value(value: Any, key: str, place: str, *, many: bool = False) -> Any:
+def check_value(value: Any, key: str, place: str, *, many: type | None = None) -> Any:
     """Return a value of a key, as a study has it.
 
     Args:
         value: value to check.
         key: leaf key, or ``case``.
         place: place that an error names.
-        many: whether it is a list of values instead.
+        many: ``tuple`` or ``dict`` for several values, in a tuple or by their numbers.
 
     Raises:
         InputError: the key does not accept the value; a line per wrong entry.
@@ -233,10 +236,10 @@ def _check(
 
 
 @cache
-def _validator(key: str, many: bool = False) -> Callable[[Any], Any]:
-    kind: Any = Name if key == "case" else _type_of(key)
-    if many:
-        kind = Annotated[tuple[kind, ...], Field(min_length=1)]
+def _validator(key: str, many: type | None = None) -> Callable[[Any], Any]:
+    one: Any = Name if key == "case" else _type_of(key)
+    listed = Annotated[tuple[one, ...], Field(min_length=1)]
+    kind: Any = {None: one, tuple: listed, dict: dict[int, one]}[many]
     return TypeAdapter(kind, config=_STRICT).validate_python
 
 
@@ -249,17 +252,19 @@ def _type_of(key: str) -> Any:
     return Annotated[Union[kinds], *field.metadata] if field.metadata else Union[kinds]  # noqa: UP007
 
 
+@dataclass
 class _Reader:
     """The keys that vary, while their tables are read.
 
     Attributes:
-        recorded: whether the study reads a record.
+        tables: tables of the file.
         table_of: the table, in brackets, of each key so far, which is in one of them.
         errors: mistakes so far.
     """
 
-    def __init__(self, recorded: bool, table_of: dict[str, str]) -> None:
-        self.recorded, self.table_of, self.errors = recorded, table_of, ErrorCollector()
+    tables: TomlTable
+    table_of: dict[str, str]
+    errors: ErrorCollector
 
     def read(
         self, table: str, how: str, given: Mapping[str, Any], read: Callable[[Any, str, str], Any]
@@ -275,7 +280,7 @@ class _Reader:
 
     def read_axes(self, table: str, given: Mapping[str, Any]) -> Dimension:
         """Return the values of an axis, or of the axes that a table varies together."""
-        joint = self.read(table, "swept", given, partial(check_value, many=True))
+        joint = self.read(table, "swept", given, partial(check_value, many=tuple))
         if joint.keys() < given.keys():
             return {}
         if not given:
@@ -293,16 +298,16 @@ class _Reader:
 
     def _check_key(self, table: str, how: str, key: str) -> None:
         """Refuse a key that is unknown, cannot vary like this or is in another table too."""
-        section, possible = SECTION_OF.get(key), _VARYING[how]
+        section, possible, recorded = SECTION_OF.get(key), _VARYING[how], "record" in self.tables
         if section is None:
             reason = unknown_key_error(key, possible)
         elif key not in possible or key in _INSTEAD:
             is_drawn, hint = how == "drawn", _INSTEAD.get(key, f"it is a key of [{section}]")
             kinds = f"latitude_deg, keys of [motion] and [sensors], {', '.join(INITIAL_NUMBERS)}"
             reason = f"cannot be {how} ({f'possible: {kinds}' if is_drawn else hint})"
-        elif self.recorded and section in SIMULATED_ONLY:
+        elif recorded and section in SIMULATED_ONLY:
             reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
-        elif self.recorded and how == "drawn" and key not in INITIAL_NUMBERS:
+        elif recorded and how == "drawn" and key not in INITIAL_NUMBERS:
             kinds = ", ".join(INITIAL_NUMBERS)
             reason = f"cannot be drawn in a recorded study (possible: {kinds})"
         elif (other := self.table_of.setdefault(key, table)) != table:
@@ -320,21 +325,22 @@ def _check_distinct(rows: Sequence[Any], place: str) -> None:
 
 
 def _read_cases(
-    tables: TomlTable, reader: _Reader, axes: Mapping[str, Collection[Any]]
+    reader: _Reader, axes: Mapping[str, Collection[Any]]
 ) -> tuple[tuple[TomlTable, ...], frozenset[str]]:
     """Return the cases, each with the same keys, and the keys that some have from their sections.
 
     A key that a case leaves out has the value of its section, or its default; None if an
     alternative to it is given instead.
     """
+    tables, errors = reader.tables, ErrorCollector()
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
         raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
-    errors, keys = ErrorCollector(), dict.fromkeys(key for row in rows for key in row)
+    keys = dict.fromkeys(key for row in rows for key in row)
     columns = {key: {i: row[key] for i, row in enumerate(rows) if key in row} for key in keys}
-    read = reader.read("[cases]", "swept", columns, _read_entries)
+    read = reader.read("[cases]", "swept", columns, partial(check_value, many=dict))
     if read.keys() < keys.keys():
         return (), frozenset()
     for i, row in enumerate(rows):
@@ -384,16 +390,6 @@ def _inherited_value(key: str, given: GivenKeys) -> Any:
     return default
 
 
-def _read_entries(entries: Mapping[int, Any], key: str, place: str) -> dict[int, Any]:
-    """Return the values of a key in some cases."""
-    errors, found = ErrorCollector(), dict[int, Any]()
-    for i, value in entries.items():
-        with errors.collect():
-            found[i] = check_value(value, key, f"{place}[{i}]")
-    errors.raise_all()
-    return found
-
-
 def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
     keys = {key: law for key, law in given.items() if key != "sampling"}
@@ -411,49 +407,40 @@ def _read_law(value: Any, key: str, place: str) -> Distribution:
     )
     for name in ("values", "grid"):
         if entries := getattr(law, name):
-            entries = check_value(entries, key, f"{place}.{name}", many=True)
+            entries = check_value(entries, key, f"{place}.{name}", many=tuple)
             law = law.model_copy(update={name: entries})
     return law
 
 
-def read_tune_section(table: TomlTable, varied: Mapping[str, str], *, recorded: bool) -> TomlTable:
-    """Return the section [tune] with checked ranges and values.
+def read_tune_section(
+    table: TomlTable, tables: TomlTable, varied: Mapping[str, str], errors: ErrorCollector
+) -> TomlTable:
+    """Return the section [tune] with checked ranges and values, without those that are wrong.
 
     Args:
-        table: table of the file, with tuples for lists.
+        table: its keys, with tuples for lists.
+        tables: tables of the file.
         varied: the table, in brackets, of each key that is swept or drawn.
-        recorded: whether the study reads a record.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
     """
-    table, errors = dict(table), ErrorCollector()
-    for key in table if recorded else ():
-        if leaf_info(key).in_simulation is not None:
-            text = "does not apply to a recorded study (drop it: tuning uses the start times)"
-            errors.add(f"[tune] {key}: {text}")
+    table = dict(table)
     for name, read in (("variables", _read_range), ("baseline", check_value)):
-        given, place = table.get(name, {}), f"[tune.{name}]"
-        if not isinstance(given, Mapping):
-            errors.add(f"[tune] {name}: must be a table of keys")
-        if not isinstance(given, Mapping) or not given:
-            continue
-        reader = _Reader(recorded, dict(varied))
-        table[name] = dict(given) | reader.read(place, "tuned", given, read)
-        own = dict.fromkeys(given, place)
-        if name == "variables" and {TIMES, COUNT} <= given.keys():
-            del own[COUNT]
-        for collect in (reader.errors.raise_all, partial(check_alternatives, {**varied, **own})):
+        given, place = table.get(name), f"[tune.{name}]"
+        if isinstance(given, Mapping):
+            table[name] = _Reader(tables, dict(varied), errors).read(place, "tuned", given, read)
+            own = dict.fromkeys(given, place)
+            if name == "variables" and {TIMES, COUNT} <= given.keys():
+                del own[COUNT]
             with errors.collect():
-                collect()
-    if "variables" in table and not table["variables"]:
-        errors.add("[tune.variables]: has no key to tune (give one with its range)")
-    errors.raise_all()
-    times, count = (table.get("variables", {}).get(key) for key in (TIMES, COUNT))
+                check_alternatives({**varied, **own})
+            if name == "variables" and not given:
+                errors.add(f"{place}: has no key to tune (give one with its range)")
+    variables = table["variables"] if isinstance(table.get("variables"), dict) else {}
+    times, count = variables.get(TIMES), variables.get(COUNT)
     for number in (count.candidates or (count.fixed,)) if count and times else ():
         if isinstance(times, tuple) and number > len(times):
             text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
-            raise InputError(f"[tune.variables] {COUNT}: {text}")
+            errors.add(f"[tune.variables] {COUNT}: {text}")
     return table
 
 
@@ -467,17 +454,14 @@ def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
         return _check_range(value, kind, place)
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
-    if not value:
-        raise InputError(f"{place}: must not be empty")
-    if Ellipsis not in entries and len(value) != len(entries):
-        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    ranges = tuple(
-        _check_range(entry, entries[0], f"{place}[{i}]") for i, entry in enumerate(value)
-    )
-    for i, entry in enumerate(ranges):
-        if entry.candidates is not None:
+    if len(value) != (count := len(value) or 1 if Ellipsis in entries else len(entries)):
+        raise InputError(f"{place}: must have {format_count(count, 'range')}, not {len(value)}")
+    ranges = list[Range]()
+    for i, entry in enumerate(value):
+        ranges.append(_check_range(entry, entries[0], f"{place}[{i}]"))
+        if ranges[i].candidates is not None:
             raise InputError(f"{place}[{i}].candidates: must be of the whole key, not of one entry")
-    return ranges
+    return tuple(ranges)
 
 
 def _check_range(value: Any, kind: Any, place: str) -> Range:

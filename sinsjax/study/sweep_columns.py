@@ -25,16 +25,28 @@ class CodedColumn(NamedTuple):
     codes: np.ndarray
     choices: tuple[Any, ...]
 
-    def compute(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
-        """Return a function of the values, called once per distinct value; (variants, ...)."""
-        results = np.asarray([function(value) for value in self.choices], dtype)
-        if len(results) == 1:  # most columns
-            return np.broadcast_to(results[0], (len(self.codes), *results.shape[1:]))
-        return results[self.codes]
-
     def map(self, function: Callable[[Any], Any]) -> "CodedColumn":
         """Return the column of a function of the values."""
         return CodedColumn(self.codes, tuple(map(function, self.choices)))
+
+    def expand(self, dtype: Any = float) -> np.ndarray:
+        """Return the values as an array, (variants, ...)."""
+        values = np.asarray(self.choices, dtype)
+        if len(values) == 1:  # most columns
+            return np.broadcast_to(values[0], (len(self.codes), *values.shape[1:]))
+        return values[self.codes]
+
+    def compute(self, function: Callable[[Any], Any], dtype: Any = float) -> np.ndarray:
+        """Return a function of the values, called once per distinct value; (variants, ...)."""
+        return self.map(function).expand(dtype)
+
+    def take(self, ids: np.ndarray) -> "CodedColumn":
+        """Return the column of some variants, without choices that none of them has."""
+        codes = self.codes[ids]
+        present = np.flatnonzero(np.bincount(codes, minlength=len(self.choices)))
+        code_of = np.zeros(len(self.choices), np.int32)
+        code_of[present] = np.arange(len(present))
+        return CodedColumn(code_of[codes], tuple(self.choices[code] for code in present))
 
     def merged(self) -> "CodedColumn":
         """Return the column with one code for equal choices."""
