@@ -186,7 +186,10 @@ MISTAKES = {
     "words": (["--draws", "some"], "--draws: 'some' is not of the form A:B"),
     "format": (["--format", "mat"], "format: 'mat' is not one of psins, csv, parquet"),
     "frame": (["--frame", "nwu"], "frame: 'nwu' is not one of enu, ned"),
-    "psins": (["--format", "psins", "--frame", "ned"], "format: psins has increments of right-front-up axes only"),
+    "psins": (
+        ["--format", "psins", "--frame", "ned"],
+        "format: psins has increments of right-front-up axes only",
+    ),
 }
 
 

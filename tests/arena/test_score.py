@@ -350,7 +350,10 @@ FAULTS = {
         text(f"{ROW},DIGEST", f"{ROW},0123", header=f"{HEADER},study"),
         "is of another study: digest 0123, ",
     ),
-    "digests": (text(ROW, first="# study = DIGEST\n# study = DIGEST"), "repeats '# study =' in its header"),
+    "digests": (
+        text(ROW, first="# study = DIGEST\n# study = DIGEST"),
+        "repeats '# study =' in its header",
+    ),
     "frames": (
         text(ROW, first="# study = DIGEST\n# frame = enu\n% frame: ned"),
         "repeats '# frame =' in its header",
@@ -360,8 +363,14 @@ FAULTS = {
         text(ROW, "1,40,50,4,-7", ROW),
         "row 5: repeats its run_id and time_s",
     ),
-    "unknown": (text("777,40,50,4,-7"), "row 3: no run of the export has this run_id (see initial.csv)"),
-    "run": (text(ROW, "0.5,40,50,4,-7"), "row 4: no run of the export has this run_id (see initial.csv)"),
+    "unknown": (
+        text("777,40,50,4,-7"),
+        "row 3: no run of the export has this run_id (see initial.csv)",
+    ),
+    "run": (
+        text(ROW, "0.5,40,50,4,-7"),
+        "row 4: no run of the export has this run_id (see initial.csv)",
+    ),
     "variant": (
         text("0,0.5,40,50,4,-7", header=f"draw_id,variant_id{HEADER[6:]}"),
         "row 3: no run of the export has this draw_id and variant_id (see",
@@ -411,7 +420,10 @@ def test_pipe_or_another_frame_than_that_of_the_file_is_refused(
     os.mkfifo(tmp_path / "pipe.csv")
     path = tmp_path / "mine.csv"
     path.write_text(text(ROW, first=f"# study = {arena.digest}\n# frame = enu"))
-    for file, message in (("pipe.csv", "is not a regular file"), ("mine.csv", "frame: 'enu and ned'")):
+    for file, message in (
+        ("pipe.csv", "is not a regular file"),
+        ("mine.csv", "frame: 'enu and ned'"),
+    ):
         with pytest.raises(InputError, match=rf"{re.escape(file)}: .*{message}"):
             score_results(arena.export, tmp_path / file, against=arena.sweep, frame="ned")
 
