@@ -92,7 +92,8 @@ def draw_descents(
         title: title of the figure.
         grid_points: points along each variable if they form a grid, the last one fastest.
     """
-    pairs = list(combinations(range(len(variables)), 2))[:_MOST_PANELS] or [(0,)]
+    number = min(2, len(variables))  # of variables of a panel
+    pairs = list(combinations(range(len(variables)), number))[:_MOST_PANELS]
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
     size = (8.4, 6.2) if len(pairs) == 1 else (1.4 + 3.3 * across, 1.5 + 3.0 * down)
@@ -121,9 +122,9 @@ def draw_descents(
             axes.set_ylabel(variables[pair[1]].name)
         _draw_descents_and_marks(axes, pair, descents, marked)
         axes.set_xlabel(variables[pair[0]].name)
-        for axis, number in zip((axes.xaxis, axes.yaxis), pair, strict=False):
-            if variables[number].log:
-                set_log_scale(axis, points.values[:, number].min(), points.values[:, number].max())
+        for axis, i in zip((axes.xaxis, axes.yaxis), pair, strict=False):
+            if variables[i].log:
+                set_log_scale(axis, points.values[:, i].min(), points.values[:, i].max())
     for axes in list(grid.flat)[len(pairs) :]:
         axes.set_visible(False)
     if len(variables) > 1:
