@@ -144,7 +144,7 @@ def export_study(  # noqa: PLR0913
         for name, content in contents.items():
             _write_file(out / name, content)
         names = _write_records(runs, form, out, on_progress)
-        content = {
+        manifest = {
             "schema": _SCHEMA,
             "sinsjax": runtime.package_version(),
             "study": study.name,
@@ -154,7 +154,7 @@ def export_study(  # noqa: PLR0913
             "state": "complete",
             "files": {name: _file_entry(out / name) for name in (*contents, *names)},
         }
-        _write_file(out / MANIFEST, sealed.to_sealed_json(content))
+        _write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
     finally:
         lock.release()
     return out

@@ -75,7 +75,8 @@ class GivenResults(NamedTuple):
 
     def select(self, rows: NDArray) -> "GivenResults":
         """Return some of the rows."""
-        return GivenResults(*(column[rows] for column in self[:4]), self.frame)
+        run, time_s, values, sigma = (column[rows] for column in self[:4])
+        return GivenResults(run, time_s, values, sigma, self.frame)
 
 
 def read_results(
@@ -176,7 +177,7 @@ def _read_table(path: Path) -> tuple[pa.Table, int]:
             lines = content[:_HEADER_BYTES].decode("utf-8-sig", errors="replace").splitlines()
             comments = next((n for n, line in enumerate(lines) if line.strip()[:1] not in "#%"), 0)
             matches = [re.match(_HEADER_LINE, line) for line in lines[:comments]]
-            entries = [match.groups() for match in matches if match]
+            entries = [(match[1], match[2]) for match in matches if match]
             names = [name.strip() for name in next(csv.reader(lines[comments : comments + 1]), [])]
             listed = [*(f"# {key} =" for key, _ in entries), *names]
             if repeated := [name for name in listed if listed.count(name) > 1]:

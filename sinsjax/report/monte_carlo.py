@@ -278,16 +278,15 @@ def _curve_figures(source: Results) -> Iterator[Block]:
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
     if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
-    has_sigma = bool(np.isfinite(analysis.numeric_column(curves, "sigma_e_arcmin")).any())
+    has_sigma = np.isfinite(analysis.numeric_column(curves, "sigma_e_arcmin")).any()
+    note = "; shading: 95 % of them" if count > 1 else ""
+    note += "; dashed: the filter's own 1 sigma" if has_sigma else ""
     if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
-        shading = "; shading: the filter's own 1 sigma" if has_sigma else ""
-        yield Picture("attitude", f"{caption}{shading}.", plots.plot_curves(curves, table, by=keys))
+        yield Picture("attitude", f"{caption}{note}.", plots.plot_curves(curves, table, by=keys))
         return
-    band = "; shading: 95 % of them" if count > 1 else ""
-    dashed = "; dashed: the filter's own 1 sigma" if has_sigma else ""
     if np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
         figure = plots.plot_curves(curves, table, by=keys)
         caption_heading = caption.replace("Mean", "Rms", 1)
-        yield Picture("misalignment", f"{caption_heading}{band}{dashed}.", figure)
+        yield Picture("misalignment", f"{caption_heading}{note}.", figure)
     figure = plots.plot_curves(curves, table, by=keys, level=True)
-    yield Picture("misalignment_level", f"{caption}{band}{dashed}.", figure)
+    yield Picture("misalignment_level", f"{caption}{note}.", figure)
