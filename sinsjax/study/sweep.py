@@ -239,8 +239,8 @@ def _check(
 def _validator(key: str, many: type | None = None) -> Callable[[Any], Any]:
     one: Any = Name if key == "case" else _type_of(key)
     listed = Annotated[tuple[one, ...], Field(min_length=1)]
-    kind: Any = {None: one, tuple: listed, dict: dict[int, one]}[many]
-    return TypeAdapter(kind, config=_STRICT).validate_python
+    kinds: dict[Any, Any] = {None: one, tuple: listed, dict: dict[int, one]}
+    return TypeAdapter(kinds[many], config=_STRICT).validate_python
 
 
 def _type_of(key: str) -> Any:

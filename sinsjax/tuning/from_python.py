@@ -145,7 +145,7 @@ def tune(
         True
     """
     options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options), tunes=True)
+    job = issue_warnings(prepare_tuning(study, None, record, None, options))
     name = job.study.name
     run_tuning(job, lambda search: python_progress(f"{name}: {search}", progress), stop)
     assert job.directory is not None

@@ -24,11 +24,9 @@ from sinsjax import console as screen
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import Results
 from sinsjax.messages import CONTROL
 from sinsjax.report.base import Fact, Report, Table
 from sinsjax.report.markdown import escape_markdown
-from sinsjax.report.output import DrawnReport, print_report, write_html_page
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -114,10 +112,9 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
     facts = [Fact(f"label{odd}", f"fact{odd}")]
     whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
-    made = DrawnReport.from_report(Results.read(results), whole)
-    print_report(made, said)
-    print_report(made, said, full=True)
-    write_html_page(tmp_path / "page.html", f"name{odd}", [made])
+    report.print_report(whole, said, results)
+    report.print_report(whole, said, results, full=True)
+    report.write_html_page(tmp_path / "page.html", f"name{odd}", [(whole, {})])
     page = (tmp_path / "page.html").read_text()
     for text in (said.file.getvalue(), page):
         assert not CONTROL.search(text.replace("\n", ""))

@@ -13,8 +13,8 @@ from sinsjax.analysis.summaries import read_estimate
 from sinsjax.execution import run
 from sinsjax.execution.results import Results
 from sinsjax.report import axis_figures, monte_carlo
+from sinsjax.report.axis_figures import bin_drawn_keys, bin_medians
 from sinsjax.report.base import Picture, Table
-from sinsjax.report.grouping import bin_drawn_keys, bin_medians
 
 pytestmark = pytest.mark.optimised(False)
 

@@ -2,8 +2,6 @@ import base64
 import re
 from html.parser import HTMLParser
 
-import numpy as np
-import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 from support.stored_results import report_text, store_results
@@ -12,8 +10,7 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
-from sinsjax.report import base, monte_carlo
-from sinsjax.report.output import DrawnReport, write_html_page
+from sinsjax.report import base, monte_carlo, write_html_page
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
@@ -46,12 +43,11 @@ class Reader(HTMLParser):
 
 
 def drawn_report(*blocks, headline=("Found: *much*",), name="swing"):
-    study = small_study(study={"name": name})
-    table = pa.table({"run_id": np.arange(3)})
     facts = [base.Fact("Best", text) for text in headline]
-    report = base.Report("title", facts, None, blocks)
+    origin = f"study.toml of {name}; computed by sinsjax 1"
+    report = base.Report("title", facts, None, blocks, origin=origin)
     images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return DrawnReport(Results(study, None, tables={"summary": table}), report, images)
+    return report, images
 
 
 def html_page(tmp_path, *parts, title="Title"):

@@ -10,7 +10,7 @@ from support.studies import STILL, small_study
 from sinsjax.execution import run
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.tables import replace_column
-from sinsjax.report import level, monte_carlo
+from sinsjax.report import attitude, monte_carlo
 from sinsjax.report.base import Table
 
 pytestmark = pytest.mark.optimised(False)
@@ -62,5 +62,5 @@ def test_run_that_is_not_finite_has_no_level(tmp_path: Path) -> None:
     table = read_summary(tmp_path / "out")
     for name in ("pitch_deg", "roll_deg"):
         table = replace_column(table, name, pa.nulls(table.num_rows))
-    (fact, *_) = level.level_verdict(source.with_summary(table)).facts
+    (fact, *_) = attitude.attitude_verdict(source.with_summary(table)).facts
     assert fact.is_caution and fact.text == "unknown, the run is not finite"

@@ -12,8 +12,8 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.base import Report
-from sinsjax.report.choices import Choices, best_option
-from sinsjax.report.verdict import process_noise_caution, sweep_verdict
+from sinsjax.report.choices import Choices
+from sinsjax.report.verdict import best_option, process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -62,9 +62,8 @@ def test_copies_of_a_variant_are_one_option() -> None:
         "2 resets, every 1 s",
         "2 resets, every 2 s",
     ]
-    assert choices.reset_counts == [0, 1, 1, 2, 2] and choices.variants.shape == (5, 3)
-    column = np.arange(18 * 4.0)
-    runs = choices.arrange_runs(column)
+    assert [choices.with_resets(count) for count in range(3)] == [[0], [1, 2], [3, 4]]
+    runs = choices.runs(4)
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
