@@ -129,7 +129,7 @@ def plot_map(  # noqa: PLR0913
     chosen = [key for key in by if pooled is not None and key not in pooled]
     best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
     values = statistic.compute(grid.column(value))
-    flags = _flagged_cells(grid.column(hatched)) if hatched else [None] * len(values)
+    flags = _flagged_cells(grid.column(hatched)) if hatched else np.zeros(values.shape, bool)
     panels = [
         MapPanel(name, cells, marked, _named_cell(point, axes, best_point))
         for name, cells, marked, point in zip(
