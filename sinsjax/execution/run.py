@@ -296,7 +296,7 @@ def _may_stop(study: Study, sink: DirectoryStore | MemorySink, draws: range) -> 
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     rows = sink.read_summary(stopping.required_columns(study))
-    return stopping.analyse_interim(study, rows, draws.stop).is_sufficient
+    return stopping.widest_half_width(study, rows, draws.stop) <= study.stop_when.half_width
 
 
 class _ProgressReport:

@@ -368,13 +368,12 @@ def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     yield Fact("Starts" if study.is_recorded else "Draws", f"{draws}{few}")
     if rule := study.stop_when if outcome.source.whole_draws is None else None:
         rows = outcome.source.rows(stopping.required_columns(study))
-        found = stopping.analyse_interim(study, rows, draws)
-        enough = "narrow enough" if found.is_sufficient else "not narrow enough, but all are drawn"
+        widest, sufficient = stopping.widest_half_width(study, rows, draws), rule.half_width
+        enough = "narrow enough" if widest <= sufficient else "not narrow enough, but all are drawn"
         yield Fact(
             "Stopped",
-            f"after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
-            f" variants has a half-width of {found.half_width:.3g}, {enough} (requested:"
-            f" {rule.half_width:g})",
+            f"after {draws:,} draws: the widest interval of {rule.statistic} over the"
+            f" variants has a half-width of {widest:.3g}, {enough} (requested: {sufficient:g})",
         )
 
 
