@@ -195,7 +195,7 @@ def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None
     store = DirectoryStore(job, runtime.describe_environment())
     try:
         store.missing_tasks([task])
-        store.add_result(TaskResult(task, {"summary": content}, 0, 0.0))
+        store.add_result(TaskResult(task, {"summary": content}, 0))
         whole = draws == range(job.study.n_draws)
         store.finish("complete" if whole else "interrupted", **facts)
     finally:

@@ -57,7 +57,7 @@ def runner() -> TaskRunner:
 
 def make_up_result(self: TaskRunner, task: Task) -> TaskResult:
     """A result without runs in it, in place of `TaskRunner.compute`."""
-    return TaskResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0, 0.0)
+    return TaskResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0)
 
 
 @pytest.mark.nightly(fast=("made up",))
