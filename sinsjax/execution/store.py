@@ -34,7 +34,6 @@ class DirectoryStore:
 
     Attributes:
         directory: results directory.
-        place: location of the results, as text.
     """
 
     def __init__(self, job: Job, facts: Mapping[str, Any]) -> None:
@@ -49,7 +48,7 @@ class DirectoryStore:
                 job was prepared.
         """
         assert job.directory is not None
-        self.directory, self.place = job.directory, str(job.directory)
+        self.directory = job.directory
         self._job, self._identity, self._facts = job, job.identity, dict(facts)
         self._started_s = round(time.time(), 3)
         self._start_s, self._earlier_s = time.monotonic(), 0.0
