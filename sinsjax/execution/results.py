@@ -24,7 +24,6 @@ from sinsjax.execution.directory import (
     results_path,
 )
 from sinsjax.messages import first_error_line, format_count, to_one_line
-from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study import display
 from sinsjax.study.attitude_file import attitude_file
@@ -143,6 +142,10 @@ class Results:
         assert self._parts is not None
         return self._parts
 
+    @cached_property
+    def _stored_runs(self) -> int:
+        return self._stored().query("summary", lambda dataset: dataset.count_rows())
+
     @property
     def runs(self) -> int:
         """Number of runs."""
@@ -150,7 +153,7 @@ class Results:
             return len(self.whole_draws) * self.study.n_variants
         if "summary" in self._tables:
             return self._tables["summary"].num_rows
-        return self._stored().query("summary", lambda dataset: dataset.count_rows())
+        return self._stored_runs
 
     @property
     def draws(self) -> int:
@@ -537,8 +540,7 @@ def _load_study(directory: Path, manifest: Manifest) -> Study:
     """Load the study of a results directory.
 
     Raises:
-        InputError: it cannot be read (names packages that provided methods when it was computed and
-            are not installed here); or it is not the study of the results.
+        InputError: it cannot be read, or is not the study of the results.
     """
     try:
         study = load_study(directory / STUDY)
@@ -546,16 +548,7 @@ def _load_study(directory: Path, manifest: Manifest) -> Study:
         if any(gone.MARK in line for line in error.lines):
             text = to_one_line("; ".join(error.lines))
             raise InputError(f"{text}; `sinsjax.read_summary` still reads the rows") from None
-        missing = [
-            f"{name} {version}"
-            for name, version in manifest.versions.items()
-            if name not in ("python", *runtime.RESULT_PACKAGES)
-            and runtime.installed_version_or_none(name) is None
-        ]
-        if not missing:
-            raise
-        text = f"was computed with {' and '.join(missing)}, not installed here, which may be why"
-        raise InputError(f"{directory}: {text}: {error}") from error
+        raise
     if not _is_study_of(manifest, study):
         differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = f"is not the study of the results: {to_one_line('; '.join(differing))}"

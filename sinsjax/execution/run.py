@@ -31,8 +31,6 @@ MAX_CURVE_RUNS = 1024
 class MemorySink:
     """The tables of a job in memory, with the methods of `DirectoryStore` that a job needs."""
 
-    place = "memory"
-
     def __init__(self) -> None:
         self._tables: dict[str, list[pa.Table]] = {}
 
@@ -285,8 +283,8 @@ def _run_tasks(
             if not missing.isdisjoint(pending):
                 sink.finish("interrupted")
                 now = progress.now
-                text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
-                raise StudyInterrupted(text)
+                where = runner.job.directory
+                raise StudyInterrupted(f"{now.done:,} of {now.total:,} runs are in {where}")
             if _may_stop(study, sink, draws):
                 break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
@@ -296,7 +294,7 @@ def _may_stop(study: Study, sink: DirectoryStore | MemorySink, draws: range) -> 
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     rows = sink.read_summary(stopping.required_columns(study))
-    return stopping.analyse_interim(study, rows, draws.stop).is_sufficient
+    return stopping.widest_half_width(study, rows, draws.stop) <= study.stop_when.half_width
 
 
 class _ProgressReport:

@@ -34,7 +34,6 @@ class DirectoryStore:
 
     Attributes:
         directory: results directory.
-        place: location of the results, as text.
     """
 
     def __init__(self, job: Job, facts: Mapping[str, Any]) -> None:
@@ -49,7 +48,7 @@ class DirectoryStore:
                 job was prepared.
         """
         assert job.directory is not None
-        self.directory, self.place = job.directory, str(job.directory)
+        self.directory = job.directory
         self._job, self._identity, self._facts = job, job.identity, dict(facts)
         self._started_s = round(time.time(), 3)
         self._start_s, self._earlier_s = time.monotonic(), 0.0
@@ -195,7 +194,7 @@ def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None
     store = DirectoryStore(job, runtime.describe_environment())
     try:
         store.missing_tasks([task])
-        store.add_result(TaskResult(task, {"summary": content}, 0, 0.0))
+        store.add_result(TaskResult(task, {"summary": content}, 0))
         whole = draws == range(job.study.n_draws)
         store.finish("complete" if whole else "interrupted", **facts)
     finally:

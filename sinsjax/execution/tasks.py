@@ -7,7 +7,6 @@ on the study, so a task can be repeated anywhere.
 import hashlib
 import json
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
@@ -117,13 +116,11 @@ class TaskResult(NamedTuple):
         task: the task.
         content: by dataset: tables, or sealed Parquet files if the job has a directory.
         failures: runs that diverged or became non-finite.
-        seconds: time taken without compilation, s.
     """
 
     task: Task
     content: dict[str, Any]
     failures: int
-    seconds: float
 
 
 def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
@@ -227,17 +224,15 @@ class TaskRunner:
         """Compute one task: equal tables, and equal bytes, on any machine."""
         with self._lock:  # otherwise every thread would compile
             chunks = self._chunks(task.part, range(*task.draws))
-        start_s = time.perf_counter()
         chunk = chunks.compute(task.call)
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
         content = self._tables.make_tables(chunk, self.scenario.variant_ids[task.part])
-        seconds = time.perf_counter() - start_s
         failed = pc.is_in(content["summary"]["status"], pa.array(columns.FAILED))
         failures = pc.sum(failed).as_py() or 0
         if self.job.directory is not None:
             content = {name: self.to_parquet(name, t, task) for name, t in content.items()}
-        return TaskResult(task, content, failures, seconds)
+        return TaskResult(task, content, failures)
 
     def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.

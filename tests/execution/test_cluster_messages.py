@@ -1,6 +1,5 @@
 """Messages about workers and schedulers, and an executor on workers of this process."""
 
-import pickle
 import re
 import time
 from collections.abc import Iterator
@@ -58,7 +57,7 @@ def runner() -> TaskRunner:
 
 def make_up_result(self: TaskRunner, task: Task) -> TaskResult:
     """A result without runs in it, in place of `TaskRunner.compute`."""
-    return TaskResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0, 0.0)
+    return TaskResult(task, {"summary": f"{task.name} of {self.identity}".encode()}, 0)
 
 
 @pytest.mark.nightly(fast=("made up",))
@@ -161,13 +160,3 @@ def test_late_worker_that_differs_is_refused_before_reading_job(
     task = Task("part-0000-000000", 0, (0, 1), 0, 1, ())
     with pytest.raises(InputError, match=f"^tcp://far:1: {line}"):
         cluster.run_task_on_worker("job", required, task)
-
-
-def test_worker_is_configured_before_it_builds_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    job, steps = Job(small_study()), list[str]()
-    monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(address="tcp://far:1"))
-    monkeypatch.setattr("distributed.Variable.get", lambda *_, **__: pickle.dumps(job))
-    monkeypatch.setattr(runtime, "configure", lambda devices: steps.append(f"{devices} device"))
-    monkeypatch.setattr(TaskRunner, "__init__", lambda _, built: steps.append(built.identity))
-    cluster._make_runner("job", {"instruction set": xla.instruction_set()})
-    assert steps == ["1 device", job.identity]

@@ -23,7 +23,7 @@ from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, run, tasks
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import Results, read_summary
+from sinsjax.execution.results import read_summary
 from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
 from sinsjax.records import Reference
@@ -97,7 +97,7 @@ def test_invalid_extension_is_refused_without_changes(
 def test_resume_with_other_package_version_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A package with methods only where the study has one of them; it is named if it is gone."""
+    """A package with methods counts only where the study has one of them."""
     study, here, out = small_study(), runtime.relevant_versions(), tmp_path / "out"
     monkeypatch.setattr(runtime, "relevant_versions", lambda: here | {"bringing": "1.0"})
     run.run_into(study, out)
@@ -114,13 +114,6 @@ def test_resume_with_other_package_version_is_refused(
     rewrite_manifest(out, instructions=None)  # as of an older version
     run.run_into(study, out, resume=True)
     assert read_manifest(out)["instructions"] == xla.instruction_set()
-    rewrite_manifest(out, versions=here | {"bringing": "1.0"})
-    text = (out / "study.toml").read_text()
-    (out / "study.toml").write_text(text.replace("kalman5", "brought"))
-    with pytest.raises(InputError) as caught:
-        Results.read(out)
-    line = f"{out}: was computed with bringing 1.0, not installed here, which may be why: "
-    assert str(caught.value).startswith(line) and "not 'brought'" in str(caught.value)
 
 
 @pytest.mark.nightly

@@ -101,11 +101,8 @@ def test_interim_analysis_matches_naive_count(
     ):
         study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
         rows = table.select(stopping.required_columns(study))
-        found = stopping.analyse_interim(study, rows, draws)
-        assert found.draws == draws
-        assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
-        if not math.isclose(max(widths), half_width, rel_tol=1e-6):
-            assert found.is_sufficient == (max(widths) <= half_width)
+        found = stopping.widest_half_width(study, rows, draws)
+        assert found == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
 
 
 # --- in a sweep ---------------------------------------------------------------------------------
@@ -146,7 +143,7 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert not any(stopping.analyse_interim(study, whole.summary, n).is_sufficient for n in before)
+    assert all(stopping.widest_half_width(study, whole.summary, n) > CASES[name][1] for n in before)
     backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     one_by_one = Executor(lambda shop, tasks: map(shop.compute, tasks), {})
