@@ -263,19 +263,15 @@ def _curve_figures(source: Results) -> Iterator[Block]:
     caption = f"Mean of {count} runs" if count > 1 else "One run each"
     if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
         caption += f" (the first {len(runs)} variants; {left} more are not drawn)"
-
-    def is_known(column: str) -> bool:
-        return bool(np.isfinite(analysis.numeric_column(curves, column)).any())
-
-    sigma = "the filter's own 1 sigma" if is_known("sigma_e_arcmin") else ""
-    if not is_known("phi_e_arcmin"):
-        caption += f"; shading: {sigma}" if sigma else ""
-        yield Picture("attitude", f"{caption}.", plots.plot_curves(curves, table, by=keys))
+    has_sigma = np.isfinite(analysis.numeric_column(curves, "sigma_e_arcmin")).any()
+    note = "; shading: 95 % of them" if count > 1 else ""
+    note += "; dashed: the filter's own 1 sigma" if has_sigma else ""
+    if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
+        yield Picture("attitude", f"{caption}{note}.", plots.plot_curves(curves, table, by=keys))
         return
-    ending = "; shading: 95 % of them" if count > 1 else ""
-    ending += f"; dashed: {sigma}." if sigma else "."
-    if is_known(_END):
+    if np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
         figure = plots.plot_curves(curves, table, by=keys)
-        yield Picture("misalignment", caption.replace("Mean", "Rms", 1) + ending, figure)
+        caption_heading = caption.replace("Mean", "Rms", 1)
+        yield Picture("misalignment", f"{caption_heading}{note}.", figure)
     figure = plots.plot_curves(curves, table, by=keys, level=True)
-    yield Picture("misalignment_level", caption + ending, figure)
+    yield Picture("misalignment_level", f"{caption}{note}.", figure)
