@@ -27,7 +27,6 @@ from sinsjax.analysis.summaries import (
     NEES_FREEDOM,
     Estimates,
     compare_with_baseline,
-    estimate_differences,
     estimate_groups,
     summarise,
 )
@@ -45,7 +44,6 @@ __all__ = [
     "cluster_ids",
     "compare_with_baseline",
     "mean_difference",
-    "estimate_differences",
     "estimate_groups",
     "format_difference",
     "format_estimate",

@@ -207,17 +207,15 @@ def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[st
 
 def compare_with_baseline(
     table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]
-) -> pa.Table:
+) -> Estimates:
     """Compare each group of runs with a baseline group on the same draws.
 
-    Columns: the keys; ``n`` draws; then ``X``, ``X_low`` and ``X_high``, group minus baseline, for
-    X in ``success_rate_difference``, and the same of ``success_floor_rate`` and
-    ``success_truth_rate`` (paired shares, Newcombe's interval),
+    The statistics are group minus baseline: ``success_rate_difference``, and the same of
+    ``success_floor_rate`` and ``success_truth_rate`` (paired shares, Newcombe's interval);
     ``settle_B_s_median_difference`` for each band B (infinite: only one of the two ever settles;
-    null between two ends: neither does) and
-    ``phi_u_error_arcmin_difference`` (distance of the window mean of phi_u from its floor, by draw;
-    mean), whose ``X_n`` is the number of draws used. Null means unknown,
-    as all are without truth or reference, and all ends of intervals for runs on a record.
+    NaN between two ends: neither does); and ``phi_u_error_arcmin_difference`` (distance of the
+    window mean of phi_u from its floor, by draw; mean). All are unknown without truth or reference,
+    and all ends of intervals for runs on a record.
 
     Args:
         table: the summary, one row per run.
@@ -225,18 +223,11 @@ def compare_with_baseline(
         baseline: key values of the group to compare with.
 
     Returns:
-        One row for each group but the baseline, by first appearance.
+        The groups but the baseline, by first appearance; ``n`` is the number of draws.
 
     Raises:
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
     """
-    return estimate_differences(table, by, baseline).pivot(table.schema)
-
-
-def estimate_differences(
-    table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]
-) -> Estimates:
-    """Return the differences of `compare_with_baseline` as a long table."""
     statistics = _available_differences(table.column_names)
     found = list(_groups(table, by, statistics.values()))
     key = {name: list(x) if isinstance(x, tuple) else x for name, x in baseline.items()}

@@ -14,8 +14,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import Grid, median_over_draws
-from sinsjax.analysis.tables import require_column, to_arrow_table, to_key_list
+from sinsjax.analysis.grids import median_over_draws, split_into_panels
+from sinsjax.analysis.tables import group_rows, require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.labels import (
     axis_label,
@@ -47,7 +47,7 @@ class CellStatistic(NamedTuple):
     Attributes:
         kind: "time" of settling, "share" in percent, or "rms".
         name: label of the colour bar, with its unit.
-        compute: function of values (..., draws) over the draws.
+        compute: function of values (draws, rows, columns) that returns (rows, columns).
     """
 
     kind: str
@@ -122,22 +122,28 @@ def plot_map(  # noqa: PLR0913
     if not table.num_rows:
         raise InputError("plot_map: there are no runs")
     by = to_key_list(by)
-    grid = Grid.from_table(table, by, (rows,), (columns,))
-    axes = {key: tuple(value for (value,) in grid.axes[key,]) for key in (rows, columns)}
-    points = [dict(zip(by, point, strict=True)) for point in grid.axes[tuple(by)]][:MAX_PANELS]
+    axes, grids = split_into_panels(table, rows, columns, by)
     statistic = _cell_statistic(require_column(table, value), value)
     chosen = [key for key in by if pooled is not None and key not in pooled]
     best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
-    values = statistic.compute(grid.column(value))
-    flags = _flagged_cells(grid.column(hatched)) if hatched else np.zeros(values.shape, bool)
-    panels = [
-        MapPanel(name, cells, marked, _named_cell(point, axes, best_point))
-        for name, cells, marked, point in zip(
-            _panel_titles(points), values, flags, points, strict=False
+    grids = grids[:MAX_PANELS]
+    panels = []
+    for name, grid in zip(_panel_titles([grid.point for grid in grids]), grids, strict=True):
+        flags = grid.column_values(hatched) if hatched else np.full((1, *grid.shape), np.nan)
+        framed = None  # also if the title names a cell of another panel
+        if best_point and all(best_point.get(key, at) == at for key, at in grid.point.items()):
+            row, column = (list(values).index(best_point[key]) for key, values in axes.items())
+            framed = row, column
+        panels.append(
+            MapPanel(
+                name,
+                statistic.compute(grid.column_values(value)),
+                2 * np.nansum(flags, axis=0) > np.isfinite(flags).sum(axis=0),
+                framed,
+            )
         )
-    ]
-    across = {format_value(point[by[-1]]) for point in points} if by else [""]
-    return _draw_heat_maps(panels, title or best_title, statistic, axes, len(across), hatch_name)
+    across = len({format_value(grid.point[by[-1]]) for grid in grids}) if by else 1
+    return _draw_heat_maps(panels, title or best_title, statistic, axes, across, hatch_name)
 
 
 def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
@@ -148,31 +154,14 @@ def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
         return CellStatistic("time", shown, _median_settling_time)
     if pa.types.is_boolean(column.type) or name.endswith("_share"):
         share = _FLAGS.get(name, f"{axis_label(name.removesuffix('_share'))} (%)")
-        return CellStatistic("share", share, lambda runs: 100 * runs.mean(axis=-1))
+        return CellStatistic("share", share, lambda runs: 100 * runs.mean(axis=0))
     name = f"rms of {axis_label(name)}"
-    return CellStatistic("rms", name, lambda runs: np.sqrt((runs**2).mean(axis=-1)))
+    return CellStatistic("rms", name, lambda runs: np.sqrt((runs**2).mean(axis=0)))
 
 
 def _median_settling_time(settle_s: NDArray) -> NDArray:
-    """The median over the draws of (..., draws), infinite where most runs never settle."""
-    return median_over_draws(np.nan_to_num(settle_s, nan=np.inf))
-
-
-def _named_cell(
-    panel_point: Mapping[str, Any],
-    axes: Mapping[str, Sequence[Any]],
-    best_point: Mapping[str, Any],
-) -> tuple[int, int] | None:
-    """The cell (row, column) of a panel that the title names, or None if it is in another one."""
-    if not best_point or any(best_point.get(key, at) != at for key, at in panel_point.items()):
-        return None
-    row, column = (list(values).index(best_point[key]) for key, values in axes.items())
-    return row, column
-
-
-def _flagged_cells(flags: NDArray) -> NDArray:
-    """Cells in which a flag (..., draws) is set for most known runs."""
-    return np.asarray(2 * np.nansum(flags, axis=-1) > np.isfinite(flags).sum(axis=-1))
+    """The median over the draws of (draws, ...), infinite where most runs never settle."""
+    return median_over_draws(np.nan_to_num(np.moveaxis(settle_s, 0, -1), nan=np.inf))
 
 
 def _panel_titles(points: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -197,26 +186,23 @@ def _best_cell_overall(
     the title names the statistic, and there is no point.
     """
     found = []
-    grid = Grid.from_table(table, choice_keys, *((key,) for key in axes))
-    for place, chosen in enumerate(grid.axes[tuple(choice_keys)]):
-        runs = grid.column(column)[place]
+    for point, rows in group_rows(table, choice_keys):
+        _, (panel,) = split_into_panels(rows, *axes)
+        runs = panel.column_values(column)
         cells = statistic.compute(runs)
         known = cells[np.isfinite(cells)]
         if not known.size or np.ptp(known) == 0:
             continue
         if statistic.kind == "share" and np.sum(known == known.max()) > 1:
             continue
-        settled = np.isfinite(runs).mean(axis=-1)
+        settled = np.isfinite(runs).mean(axis=0)
         if statistic.kind == "time":  # mean of those that settle
-            cells = np.nansum(runs, axis=-1) / np.maximum(settled * runs.shape[-1], 1)
+            cells = np.nansum(runs, axis=0) / np.maximum(settled * len(runs), 1)
         order = np.nan_to_num(cells, nan=np.inf) * (-1 if statistic.kind == "share" else 1)
         best = int(np.lexsort((order.ravel(), -settled.ravel()))[0])
-        best_point = dict(zip(choice_keys, chosen, strict=True))
-        cell = np.unravel_index(best, settled.shape)
-        best_point |= {key: axes[key][int(at)] for key, at in zip(axes, cell, strict=True)}
-        if "reset_times_s" in table.column_names:
-            row = int(grid.rows[place, *cell, 0])
-            best_point["reset_times_s"] = table["reset_times_s"][row].as_py()
+        best_point = dict(point)
+        for name in (*axes, *{"reset_times_s"}.intersection(rows.column_names)):
+            best_point[name] = panel.rows[name][best].as_py()
         found.append((-settled.flat[best], order.flat[best], best_point, cells.flat[best]))
     if not found:
         return f"{statistic.name[:1].upper()}{statistic.name[1:]}", {}
@@ -227,7 +213,7 @@ def _best_cell_overall(
         return f"Best: {words} ({shown:.3g} {unit})", point
     if missing > -1:
         return f"Most often: {words} ({-100 * missing:.3g} % of the runs settle)", point
-    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[-1] > 1)})", point
+    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})", point
 
 
 @with_style

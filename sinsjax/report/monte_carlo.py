@@ -180,7 +180,7 @@ def first_variant_comparison_table(source: Results) -> Table:
     groups = [
         group
         for rows in parts
-        for group in analysis.estimate_differences(rows, keys, first_of(rows, keys)).groups
+        for group in analysis.compare_with_baseline(rows, keys, first_of(rows, keys)).groups
     ]
     mixed = [
         key

@@ -280,11 +280,14 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
     if rule := source.study.stop_when if source.whole_draws is None else None:
         rows = source.rows(stopping.required_columns(source.study))
-        widest, sufficient = stopping.widest_half_width(study, rows, draws), rule.half_width
+        widest, sufficient = (
+            stopping.widest_half_width(source.study, rows, outcome.n_draws),
+            rule.half_width,
+        )
         enough = "narrow enough" if widest <= sufficient else "not narrow enough, but all are drawn"
         yield Fact(
             "Stopped",
-            f"after {draws:,} draws: the widest interval of {rule.statistic} over the"
+            f"after {outcome.n_draws:,} draws: the widest interval of {rule.statistic} over the"
             f" variants has a half-width of {widest:.3g}, {enough} (requested: {sufficient:g})",
         )
 
