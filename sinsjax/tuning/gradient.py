@@ -63,14 +63,9 @@ def descend(
 ) -> SearchResult:
     """Tune a study by gradient, for every combination of its candidates.
 
-    Args:
-        study: study with [tune].
-        stored: the record of a recorded study.
-        on_progress: called with the progress, in runs, after every step.
-
-    Returns:
-        Every step of every descent with its relaxed objective, and the final points with their
-        unrelaxed objective on all tuning draws, the law's schedule among them.
+    Returns every step of every descent with its relaxed objective, and the final points with their
+    unrelaxed objective on all tuning draws, the law's schedule among them. The progress is that of
+    runs, after every step.
 
     Raises:
         InputError: a variable has no gradient, or the record does not fit.
@@ -237,13 +232,7 @@ class Slope:
         starts: int,
         draws: int,
     ) -> None:
-        """Prepare the runs.
-
-        Args:
-            parameters: what the variables do to the methods' parameters.
-            stored: the record of a recorded study.
-            starts: number of descents.
-            draws: number of draws per step, at most.
+        """Prepare the runs of some descents, with at most so many draws per step.
 
         Raises:
             InputError: the record does not fit.
@@ -268,15 +257,12 @@ class Slope:
         return round(self._starts * self.draws * self._draw_cost * (1 + tangents))
 
     def __call__(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
-        """Return the objective of each descent, and its gradient.
+        """Return the objective of each descent, (starts,), and its gradient, (starts, p).
 
         Args:
             box: (starts, p) positions of the variables in their ranges, 0 to 1.
             draws: (draws,) indices of the draws to use.
             softness: degree of relaxation.
-
-        Returns:
-            The objective (starts,) in its unit, and its gradient (starts, p).
         """
         by_program = [self._run(program, box, draws, softness) for program in self._programs]
         runs, slopes = (np.concatenate(parts, axis=1) for parts in zip(*by_program, strict=True))
@@ -376,15 +362,9 @@ class Slope:
 
 
 def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:
-    """Return value and derivatives of a function along some directions, in one forward pass.
+    """Return value and derivatives of a function of a tree of arrays, in one forward pass.
 
-    Args:
-        function: function of an array, or of a tree of arrays.
-        point: where to differentiate.
-        directions: (p, *shape of the point), or a tree of them.
-
-    Returns:
-        The value, and its derivatives with a leading axis of p.
+    The directions have, and the derivatives get, a leading axis of p before the shape of the point.
     """
 
     def derivative(direction: Any) -> tuple[Any, Any]:
@@ -456,11 +436,7 @@ class TunedParams:
     """
 
     def __init__(self, study: Study, combination: TomlTable) -> None:
-        """Check that all variables have a gradient.
-
-        Args:
-            study: study with [tune].
-            combination: values of the candidates, one of the combinations of its search space.
+        """Check that all variables of a combination of candidates have a gradient.
 
         Raises:
             InputError: ``[tune.variables] key: has no gradient (hint)``.
@@ -489,10 +465,7 @@ class TunedParams:
     def at(self, method: str, keys: Variants, box: Array) -> Any:
         """Return the params of a method at a point, leaves (variants, ...); resets are hard.
 
-        Args:
-            method: its name.
-            keys: keys of variants with this method.
-            box: (p,) positions of the variables in their ranges, 0 to 1.
+        The box has the (p,) positions of the variables in their ranges, 0 to 1.
         """
         tuned: dict[str, Any] = {}
         for place, variable in zip(box, self.variables, strict=True):
@@ -509,13 +482,8 @@ class TunedParams:
     def differentiate(self, method: str, keys: Variants) -> Callable[[NDArray], tuple[Any, Any]]:
         """Return a function of the points of all starts, compiled once: params and derivatives.
 
-        Args:
-            method: its name.
-            keys: keys of variants with this method.
-
-        Returns:
-            (starts, p) positions of the variables in their ranges, 0 to 1 -> the params, leaves
-            (starts * variants, ...), and their derivatives, leaves (starts * variants, p, ...).
+        Of (starts, p) positions in the ranges, 0 to 1, it returns leaves (starts * variants, ...)
+        and (starts * variants, p, ...).
         """
         at = partial(self.at, method, keys)
 

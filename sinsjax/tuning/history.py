@@ -123,11 +123,6 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
 def write_history(directory: Path, study: Study, searches: Iterable[SearchResult]) -> None:
     """Write the history of some searches atomically, sealed and with the study that they tune.
 
-    Args:
-        directory: directory of the tuning run.
-        study: study with [tune].
-        searches: their results.
-
     Raises:
         InputError: the file cannot be written.
     """
@@ -184,10 +179,6 @@ def _read_table(directory: Path) -> pa.Table:
 
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
     """Read the searches of a history, in their order.
-
-    Args:
-        directory: directory of the tuning run.
-        space: search space of its study.
 
     Raises:
         InputError: the history cannot be read, or is of other variables.

@@ -72,12 +72,7 @@ def failure_score(tune: TuneSection, study: Study) -> float:
 
 
 def score(tune: TuneSection, values: NDArray) -> float:
-    """Return the objective of some runs, in the unit of their values.
-
-    Args:
-        tune: the objective.
-        values: (variants, draws), from `run_values`.
-    """
+    """Return the objective of some runs, (variants, draws) `run_values`, in their unit."""
     by_variant = _OVER_DRAWS[tune.objective](tune, values)
     worst = tune.objective_across == "worst"
     return float(np.max(by_variant) if worst else np.mean(by_variant))
@@ -112,14 +107,8 @@ def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
     """Return the smooth objective of some points, and its derivatives by the runs' values.
 
     A quantile is Harrell and Davis's (1982), a weighted mean of all values; the worst variant is
-    approximated by the power mean of order 16.
-
-    Args:
-        tune: the objective.
-        values: (points, variants, draws).
-
-    Returns:
-        The objective (points,) and its derivatives (points, variants, draws).
+    approximated by the power mean of order 16. Of (points, variants, draws) values it returns the
+    objective (points,) and its derivatives (points, variants, draws).
     """
     weights = np.full(values.shape[-1], 1 / values.shape[-1])
     if tune.objective == "settle_quantile":

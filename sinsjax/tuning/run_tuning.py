@@ -125,12 +125,7 @@ def require_tune(study: Study) -> TuneSection:
 
 
 def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
-    """Reject a directory that holds a tuning run, unless it may be used, or foreign files.
-
-    Args:
-        directory: directory of the tuning run, which may be missing.
-        overwrite: whether a tuning run may be replaced.
-        resume: whether a tuning run may be continued.
+    """Reject a directory with foreign files, or a tuning run that may be neither used nor replaced.
 
     Raises:
         InputError: the directory cannot be used.

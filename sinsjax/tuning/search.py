@@ -78,12 +78,7 @@ class Design(NamedTuple):
 
 
 def grid_design(study: Study, points: int) -> Design:
-    """Return all points of a grid including the ends, the last variable fastest.
-
-    Args:
-        study: study with [tune].
-        points: number of points per variable.
-    """
+    """Return the grid with so many points per variable, ends included, the last one fastest."""
     places = np.linspace(0.0, 1.0, points)
 
     def draw_points(_: int, count: int) -> NDArray:
@@ -93,12 +88,9 @@ def grid_design(study: Study, points: int) -> Design:
 
 
 def sobol_design(study: Study, name: str, points: int) -> Design:
-    """Return scrambled Sobol points, which the study's seed and the name of a search determine.
+    """Return so many scrambled Sobol points per combination of candidates.
 
-    Args:
-        study: study with [tune].
-        name: name of the search.
-        points: number of points per combination of candidates; more do not change the first.
+    The study's seed and the name of the search determine them; more do not change the first.
     """
     from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
@@ -114,12 +106,7 @@ def sobol_design(study: Study, name: str, points: int) -> Design:
 
 
 def _design(study: Study, draw_points: Callable[[int, int], NDArray]) -> Design:
-    """Return the design with the points of every combination.
-
-    Args:
-        study: study with [tune].
-        draw_points: (number of a combination, number p of its variables) -> (n, p) points.
-    """
+    """Return the design of points drawn by (combination, number p of variables) -> (n, p)."""
     space = SearchSpace.from_study(study)
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
@@ -133,12 +120,7 @@ def _design(study: Study, draw_points: Callable[[int, int], NDArray]) -> Design:
 
 
 def add_law_points(study: Study, design: Design) -> Design:
-    """Return a design that begins with the points of the law's reset schedules.
-
-    Args:
-        study: study with [tune].
-        design: points of a search.
-    """
+    """Return a design that begins with the points of the law's reset schedules."""
     points = {number: law_point(study, number) for number in np.unique(design.candidate).tolist()}
     found = {number: box for number, box in points.items() if box is not None}
     candidate = np.array([*found, *design.candidate], design.candidate.dtype)
@@ -151,13 +133,7 @@ def add_law_points(study: Study, design: Design) -> Design:
 def evaluate_design(
     study: Study, name: str, design: Design, session: SearchSession
 ) -> SearchResult:
-    """Evaluate the points of a design on the tuning draws.
-
-    Args:
-        study: study with [tune].
-        name: name of the search and of its results directory.
-        design: points; those with equal keys are run once.
-        session: settings.
+    """Evaluate the points of a design on the tuning draws, in a directory with the search's name.
 
     Raises:
         InputError: the directory cannot be used, or the record does not fit.
@@ -229,10 +205,7 @@ def score_points(
 def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
     """Return the values of all runs for the objective, (points, variants, draws).
 
-    Args:
-        study: study with [tune].
-        derived: study of the runs, whose cases are the points.
-        table: `objective.summary_columns` of its summary.
+    The points are the cases of the derived study, and the table has `objective.summary_columns`.
     """
     assert study.tune is not None
     values = objective.run_values(study.tune, derived, table)
@@ -255,15 +228,14 @@ def derive_study(
 ) -> Study:
     """Return the study of some points on the tuning draws, or on those for evaluation.
 
+    It has no [tune]; the points are its outermost dimension, and its own axes are swept at each.
+    Draws for evaluation are those of another seed, or the other start times of a record.
+
     Args:
-        study: study with [tune]; its own axes are swept at every point.
+        study: study with [tune].
         points: points with the same keys, by the label of their case.
         name: name of the new study.
-        evaluation: whether to use the evaluation draws: those of another seed, or the other start
-            times of a record.
-
-    Returns:
-        A study without [tune], with the points as its outermost dimension.
+        evaluation: whether to use the evaluation draws.
     """
     tune = study.tune
     assert tune is not None
