@@ -131,6 +131,19 @@ class ProcessNoise(NamedTuple):
         """Its keys, with their factors to the unit of the first."""
         return FilterSection.alternatives(self.key)
 
+    def white(self, rate_hz: float, values: Mapping[str, Any]) -> float:
+        """Return the density of the sensors' white noise, 0 for none or if it is drawn."""
+        return self.density(rate_hz, *(values[key] for key in keys_of(self.density))) or 0.0
+
+    def q(self, rate_hz: float, values: Mapping[str, Any]) -> float:
+        """Return the density of the noise that Q states, by default the sensors' own, squared."""
+        scale = values["q_scale"] or 1.0
+        for form, factor in self.forms.items():
+            if values[form] is not None:
+                per_step = q_unit_factors(1 / rate_hz)[values["q_reading"]]
+                return (values[form] * factor) ** 2 * per_step * rate_hz * scale
+        return self.white(rate_hz, values) ** 2 * scale
+
 
 ACCEL_NOISE = ProcessNoise("q_accel_ug", "accelerometers", accel_noise_density)
 GYRO_NOISE = ProcessNoise("q_gyro_deg_per_h", "gyros", gyro_noise_density)
