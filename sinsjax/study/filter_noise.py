@@ -7,7 +7,6 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     ProcessNoise,
-    q_unit_factors,
     surge_density,
 )
 from sinsjax.methods.registry import METHODS
@@ -28,18 +27,13 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
         The distinct ratios over all variants, for ``accelerometers`` and ``gyros``; empty without a
         filter, and without white noise that all draws have.
     """
-    readings, ratios = q_unit_factors(1 / study.rate_hz), {n.sensors: set[float]() for n in _NOISES}
+    ratios = {noise.sensors: set[float]() for noise in _NOISES}
     for noise in _NOISES if study.has("filter") else ():
-        forms, sensor_keys = noise.forms, noise.white
-        for point in study.combinations("method", "q_reading", "q_scale", *forms, *sensor_keys):
-            white = noise.density(study.rate_hz, *(point[key] for key in sensor_keys))
-            if not white or point["method"] not in reading_methods(noise.key):
-                continue
-            given = [point[key] * factor for key, factor in forms.items() if point[key] is not None]
-            scale = 1.0 if point["q_scale"] is None else point["q_scale"]
-            if given:
-                scale *= readings[point["q_reading"]] * study.rate_hz
-            ratios[noise.sensors].add((given[0] if given else white) / white * scale**0.5)
+        keys = ("method", "q_reading", "q_scale", *noise.forms, *noise.white)
+        for point in study.combinations(*keys):
+            white = noise.white_density(study.rate_hz, point)
+            if white and point["method"] in reading_methods(noise.key):
+                ratios[noise.sensors].add(noise.q(study.rate_hz, point) ** 0.5 / white)
     return ratios
 
 
@@ -78,7 +72,7 @@ def _check_q(noise: ProcessNoise, study: Study) -> None:
             reason = f"a record does not give the noise of its {noise.sensors}"
         elif drawn:
             reason = f"{drawn[0]} is drawn, but the filter has the same Q in all draws"
-        elif noise.density(1.0, *(point[key] for key in sensor_keys)):
+        elif noise.white_density(1.0, point):
             continue
         else:
             reason = f"the {noise.sensors} have no white noise in [sensors]"

@@ -11,8 +11,6 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     SCHEDULE_KEYS,
-    ProcessNoise,
-    q_unit_factors,
     scheduled_reset_times,
     surge_density,
     update_variance,
@@ -166,8 +164,8 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
         point: values of `NOISE_KEYS`.
     """
     place = _read_place(point)
-    accel = _white_noise(rate_hz, point, ACCEL_NOISE, place.ug)
-    gyro = _white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H)
+    accel = (ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2
+    gyro = (GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2
     return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
@@ -183,7 +181,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     place = _read_place(point)
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
     return ResetProblem(
-        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, place.ug),
+        velocity_noise=ACCEL_NOISE.q(rate_hz, point) * place.ug**2,
         measurement_noise=r / rate_hz,
         velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
@@ -192,9 +190,9 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=_white_noise(rate_hz, point, ACCEL_NOISE, place.ug),
-        gyro_noise=_white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H),
-        tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
+        accel_noise=(ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2,
+        gyro_noise=(GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2,
+        tilt_noise=GYRO_NOISE.q(rate_hz, point) * DEG_PER_H**2,
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
 
@@ -224,22 +222,3 @@ def _read_place(point: Mapping[str, Any]) -> Place:
         gravity = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)
         rate, ug = 7.292115e-5, micro_g()
     return Place(gravity, rate * math.cos(latitude), ug)
-
-
-def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float) -> float:
-    """Return the density of a noise that Q states, by default the sensors' own; SI."""
-    scale = point["q_scale"] or 1.0
-    for form, factor in noise.forms.items():
-        if point[form] is not None:
-            per_step = (point[form] * factor * unit) ** 2
-            per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
-            return float(per_step * rate_hz * scale)
-    return float(_white_noise(rate_hz, point, noise, unit) * scale)
-
-
-def _white_noise(
-    rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float
-) -> float:
-    """Return the density of the sensors' white noise, 0 for none; SI."""
-    values = (point[key] for key in noise.white)
-    return float((noise.density(rate_hz, *values) or 0.0) * unit) ** 2

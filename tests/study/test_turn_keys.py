@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.studies import STILL, small_study
-from support.turning_logs import DEG, DEG_PER_H, PARKED, TURNS, turned_record
+from support.turning_logs import DEG, DEG_PER_H, TURNS, turned_record
 
 import sinsjax as package
 from sinsjax import InputError
@@ -205,14 +205,6 @@ def test_turning_log_has_no_question_but_its_latitude(motion, sinsjax):
     noise = study["gravity_fit"]
     assert noise["fit_gyro_arw_deg_per_sqrt_h"] == pytest.approx(0.02, rel=0.05)
     assert noise["fit_accel_vrw_ug_per_sqrt_hz"] == pytest.approx(50.0, rel=0.05)
-
-
-def test_all_of_a_long_turning_log_is_aligned(sinsjax):
-    """A turn after 16 min would be cut off, as the rest of the log of a parked base is."""
-    for turns, fine_s in ((((960.0,), (180.0,), 10.0), 1909.0), (PARKED, 900.0)):
-        text = study_of_log(turns, length_s=1920.0, rate_hz=5.0)
-        assert tomllib.loads(text)["study"]["duration_s"] == fine_s
-        assert ("turns" in text) == (turns != PARKED)
 
 
 def test_gyros_that_contradict_the_turns_leave_pitch_and_roll(sinsjax):

@@ -105,6 +105,19 @@ class ProcessNoise(NamedTuple):
         """Its keys, with their factors to the unit of the first."""
         return FilterSection.alternatives(self.key)
 
+    def white_density(self, rate_hz: float, values: Mapping[str, Any]) -> float:
+        """Return the density of the sensors' white noise, 0 for none or if it is drawn."""
+        return self.density(rate_hz, *(values[key] for key in self.white)) or 0.0
+
+    def q(self, rate_hz: float, values: Mapping[str, Any]) -> float:
+        """Return the density of the noise that Q states, by default the sensors' own, squared."""
+        scale = values["q_scale"] or 1.0
+        for form, factor in self.forms.items():
+            if values[form] is not None:
+                per_step = q_unit_factors(1 / rate_hz)[values["q_reading"]]
+                return (values[form] * factor) ** 2 * per_step * rate_hz * scale
+        return self.white_density(rate_hz, values) ** 2 * scale
+
     def density(self, rate_hz: float, per_sample: Any, density: Any) -> float | None:
         """Return the density of the noisiest sensor, in the unit of ``key`` under 'psd'.
 
