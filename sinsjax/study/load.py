@@ -41,15 +41,6 @@ from sinsjax.study.sweep import (
     without_gone_settings,
 )
 
-__all__ = [
-    "Study",
-    "load_study",
-    "study_from_dict",
-    "study_to_toml",
-    "study_to_tables",
-    "with_point",
-]
-
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 """Sections of a sheet, which `sinsjax.advise` reads."""
@@ -196,10 +187,10 @@ def _read_study(data: TomlTable, name: str) -> Study:
 def _register_external(tables: TomlTable) -> None:
     """Make the programs known whose results a study has, before its methods are checked."""
     names = tables.get("study", {}).get("external", ())
-    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+    if not isinstance(names, tuple):
         return  # refused with the other values
     try:
-        register_external(names)
+        register_external([name for name in names if isinstance(name, str)])
     except InputError as error:
         raise InputError(f"[study] external: {error}") from None
 

@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn
@@ -236,7 +236,7 @@ class Study(_SectionsOfMethods):
     @property
     def distinct_spans(self) -> set[Span]:
         """The distinct lengths of the variants' runs, from the axes alone."""
-        points = self.combinations(*PASS_KEYS) if self.passes else [{}]
+        points = self.combinations(*(PASS_KEYS if self.passes else ()))
         return {self.span(**point) for point in points}
 
     def span(
@@ -280,15 +280,10 @@ class Study(_SectionsOfMethods):
     ) -> int:
         """Return the number of samples that are coarsely aligned before a run starts.
 
-        Args:
-            rate_hz: sample rate of the record, Hz.
-            coarse_method: value of this key, as the following arguments.
-            coarse_duration_s: length of coarse alignment, s.
-            coarse_then: start of the method after coarse alignment.
+        The values are those of `COARSE_KEYS`; ``rate_hz`` is the rate of the record.
         """
-        if self.has_coarse_stage(coarse_method, coarse_then):
-            return 0
-        return round(coarse_duration_s * rate_hz)
+        is_stage = self.has_coarse_stage(coarse_method, coarse_then)
+        return 0 if is_stage else round(coarse_duration_s * rate_hz)
 
     @property
     def counts_before(self) -> bool:
@@ -493,7 +488,10 @@ class Study(_SectionsOfMethods):
 
         The value of a drawn key is None. Schedules that `schedule` names are derived.
         """
-        for values in dict.fromkeys(self._iter_values(keys)):
+        if not self._follow_schedule(keys):
+            yield from self.given_combinations(*keys)
+            return
+        for values in self._points(keys).choices:
             yield dict(zip(keys, values, strict=True))
 
     def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
@@ -509,26 +507,24 @@ class Study(_SectionsOfMethods):
     def _points(self, keys: tuple[str, ...]) -> CodedColumn:
         """Return the column of the combinations of some keys, as tuples also of one key or none."""
         if keys not in self._cached_points:
-            codes = point_codes(self.dimensions, self._inputs(keys))
-            self._cached_points[keys] = CodedColumn(codes, tuple(self._iter_values(keys))).merged()
+            inputs = dict.fromkeys(keys)
+            if self._follow_schedule(keys):
+                inputs |= dict.fromkeys(filter(self.is_readable, (*LAW_KEYS, *DERIVED)))
+            choices = tuple(self.given_combinations(*inputs))
+            points = CodedColumn(point_codes(self.dimensions, inputs), choices)
+            if self._follow_schedule(keys):
+                points = points.map(self._derive)
+            of_keys = points.map(lambda point: tuple(point[key] for key in keys))
+            self._cached_points[keys] = of_keys.merged()
         return self._cached_points[keys]
 
-    def _iter_values(self, keys: tuple[str, ...]) -> Iterator[tuple[Any, ...]]:
-        """Yield the values of some keys for each combination of their inputs."""
-        defaults = dict.fromkeys((*LAW_KEYS, *DERIVED))
-        for point in self.given_combinations(*self._inputs(keys)):
-            if self._follow_schedule(keys):
-                # The rate of a record is known, and this final, once the record is read.
-                point |= derive_schedule(self.rate_hz or 100.0, defaults | point)
-            yield tuple(point[key] for key in keys)
-
-    def _inputs(self, keys: tuple[str, ...]) -> tuple[str, ...]:
-        """Return keys, and those that their values follow from."""
-        found = (*LAW_KEYS, *DERIVED) if self._follow_schedule(keys) else ()
-        return tuple(dict.fromkeys((*keys, *filter(self.is_readable, found))))
-
-    def _follow_schedule(self, keys: Collection[str]) -> bool:
+    def _follow_schedule(self, keys: tuple[str, ...]) -> bool:
         return not {*keys}.isdisjoint(DERIVED) and self.names_schedules
+
+    def _derive(self, point: dict[str, Any]) -> dict[str, Any]:
+        # The rate of a recorded study is known, and its schedule final, once its record is read.
+        known = dict.fromkeys((*LAW_KEYS, *DERIVED)) | point
+        return point | derive_schedule(self.study.rate_hz or 100.0, known)
 
     @cached_property
     def names_schedules(self) -> bool:

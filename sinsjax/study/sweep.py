@@ -5,7 +5,7 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 ``[tune.variables] reset_times_s[1].low``.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from types import NoneType, UnionType
@@ -19,7 +19,6 @@ from sinsjax.messages import (
     describe_broken_rule,
     explain_error,
     format_count,
-    format_list_index,
     suggest_closest,
 )
 from sinsjax.study.defaults import GivenKeys, dependent_default
@@ -44,14 +43,8 @@ Ranges = dict[str, Range | tuple[Range, ...]]
 
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-_INSTEAD = {
-    "start_s": "list the start times in [record], one draw each",
-    "attitude_file": "use one study per file",
-} | dict.fromkeys(SECTIONS["study"].model_fields, "all runs share [study]: use one study per value")
-"""What to do instead of varying a key over the variants."""
-
 _VARYING = {
-    "swept": [key for key, name in SECTION_OF.items() if name in SWEEPABLE],
+    "swept": [k for k, name in SECTION_OF.items() if name in SWEEPABLE and k != "attitude_file"],
     "tuned": [key for key, name in SECTION_OF.items() if name in TUNABLE],
     "drawn": [*NUMBERS_DRAWN],
 }
@@ -178,13 +171,9 @@ def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     Consequences of these errors are left out: a list too short without its wrong entries, and a
     default that depends on a wrong value.
     """
-
-    def of_whole(detail: ErrorDetails) -> tuple[int | str, ...]:
-        return tuple(part for part in detail["loc"] if not isinstance(part, int))
-
     errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
-    with_entries = {of_whole(detail) for detail in errors if format_list_index(detail)}
-    return [d for d in errors if format_list_index(d) or d["loc"] not in with_entries]
+    wholes = {detail["loc"][:end] for detail in errors for end in range(len(detail["loc"]))}
+    return [detail for detail in errors if detail["loc"] not in wholes]
 
 
 def check_alternatives(table_of: Mapping[str, str]) -> None:
@@ -301,10 +290,8 @@ class _Reader:
         section, possible, recorded = SECTION_OF.get(key), _VARYING[how], "record" in self.tables
         if section is None:
             reason = unknown_key_error(key, possible)
-        elif key not in possible or key in _INSTEAD:
-            is_drawn, hint = how == "drawn", _INSTEAD.get(key, f"it is a key of [{section}]")
-            kinds = f"latitude_deg, keys of [motion] and [sensors], {', '.join(INITIAL_NUMBERS)}"
-            reason = f"cannot be {how} ({f'possible: {kinds}' if is_drawn else hint})"
+        elif key not in possible:
+            reason = f"cannot be {how} (give it in [{section}])"
         elif recorded and section in SIMULATED_ONLY:
             reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
         elif recorded and how == "drawn" and key not in INITIAL_NUMBERS:
@@ -402,9 +389,8 @@ def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
 
 
 def _read_law(value: Any, key: str, place: str) -> Distribution:
-    law: Distribution = _check(
-        Distribution.model_validate, value, place, fields=Distribution.model_fields
-    )
+    fields = Distribution.model_fields
+    law: Distribution = _check(Distribution.model_validate, value, place, fields=fields)
     for name in ("values", "grid"):
         if entries := getattr(law, name):
             entries = check_value(entries, key, f"{place}.{name}", many=tuple)
@@ -447,7 +433,7 @@ def read_tune_section(
 def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
     """Return the range of a key: of its number, of each entry of its list, or its candidates."""
     kind = _type_of(key)
-    entries = _entry_types(kind)
+    entries = next((get_args(k) for k in _iter_types(kind) if get_origin(k) is tuple), ())
     if not isinstance(value, tuple):
         if entries and isinstance(value, Mapping) and value.keys() & {"low", "high"}:
             raise InputError(f"{place}: needs a list with one range per entry, not one range")
@@ -467,21 +453,15 @@ def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
 def _check_range(value: Any, kind: Any, place: str) -> Range:
     """Return a range with values of a type."""
     range_of: Any = Range
-    validate = range_of[kind, kind].model_validate
-    found = _check(validate, value, place, fields=Range.model_fields)
+    found = _check(range_of[kind, kind].model_validate, value, place, fields=Range.model_fields)
     return Range.model_construct(**dict(found))  # a class that other processes have
 
 
-def _entry_types(kind: Any) -> tuple[Any, ...]:
-    """Return the types of the entries of a list key; empty for other keys."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin is tuple:
-        return arguments
-    if origin is Annotated:
-        return _entry_types(arguments[0])
-    if origin in (Union, UnionType):
-        return next(filter(None, map(_entry_types, arguments)), ())
-    return ()
+def _iter_types(kind: Any) -> Iterator[Any]:
+    """Yield a type, and all types within it."""
+    yield kind
+    for part in get_args(kind):
+        yield from _iter_types(part)
 
 
 def without_gone_settings(tables: TomlTable) -> TomlTable:
