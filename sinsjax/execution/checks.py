@@ -207,7 +207,7 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
             f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
-    expected = StationaryValues.with_biases(
+    expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),

@@ -17,7 +17,7 @@ from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
     RecordLayout,
-    find_fault,
+    find_faults,
     parse_axes_order,
 )
 from sinsjax.value_types import (
@@ -492,8 +492,8 @@ class RecordSection(Section):
             if self.format == "parquet" and getattr(self, key) is not None:
                 raise rule_error("applies to text only (drop it with format 'parquet')", key=key)
         # `rules` checks whether a rate is needed.
-        if found := find_fault(self.layout(rate_hz=1.0)):
-            raise rule_error(found.text, key=found.key)
+        for key, text in find_faults(self.layout(rate_hz=1.0)):
+            raise rule_error(text, key=key)
         return self
 
     def layout(self, rate_hz: float | None) -> RecordLayout:
