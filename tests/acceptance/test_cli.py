@@ -177,7 +177,7 @@ def test_invalid_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path, 
 
 
 SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
-    "NaN": (lambda lines: [*lines[:299], "1 2 nan 4 5 6", *lines[300:]], ("row 300", "nan")),
+    "NaN": (lambda lines: [*lines[:299], "1 2 nan 4 5 6", *lines[300:]], ("row 300", "finite")),
     "too short": (lambda lines: lines[:500], ("5",)),
 }
 
