@@ -133,28 +133,24 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
         gyro_bias_deg_per_h=section.gyro_bias_deg_per_h,
         accel_bias_ug=section.accel_bias_ug,
     )
-    used = _used_spans(study, record)
+    used, whole, hides_north = _used_spans(study, record), (0, len(record.dv)), ""
     found: list[tuple[str, Finding]] = [
-        (f"{record.source}: {anomaly.text}", anomaly)
-        for anomaly in report_anomalies(record.anomalies, used)
+        (record.source, anomaly) for anomaly in report_anomalies(record.anomalies, used)
     ]
-    for begin, end in used:
-        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
+    for span in used:
+        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in span)
         where = f"{record.source}: {begin_s} to {end_s} s"
-        findings = check_stationary(record, (begin, end), layout, expected)
-        found += [(f"{where}: {finding.text}", finding) for finding in findings]
-    hides_north = ""
-    for text, finding in found:
+        found += [(where, finding) for finding in check_stationary(record, span, layout, expected)]
+    for where, finding in found:
         if finding.hides_north:
-            hides_north = hides_north or text
+            hides_north = hides_north or f"{where}: {finding.text}"
         elif finding.is_certain and not section.trust:
             # A constant channel may be the cause, and only this error is shown.
-            whole = (0, len(record.dv))
-            constant = [a.text for a in record.anomalies if (a.begin, a.end) == whole]
-            causes = [cause for cause in constant if cause not in text]
-            raise InputError(f"{'; '.join([text, *causes])} ({_TRUST_HINT})")
+            constant = (a.text for a in record.anomalies if (a.begin, a.end) == whole)
+            text = "; ".join(dict.fromkeys([finding.text, *constant]))
+            raise InputError(f"{where}: {text} ({_TRUST_HINT})")
         else:
-            lines.append(text)
+            lines.append(f"{where}: {finding.text}")
     return RecordCheck(lines, hides_north)
 
 

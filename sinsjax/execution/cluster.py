@@ -8,12 +8,12 @@ scheduler stores it, and every worker process, early or late, reads it once.
 import logging
 import os
 import pickle
-import queue
 import threading
 import time
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
@@ -78,26 +78,23 @@ def _connect(address: str) -> Any:
     from distributed import Client
     from distributed.versions import VersionMismatchWarning
 
-    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    answer: Future[Any] = Future()
 
     def connect() -> None:
         try:
-            answers.put(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
+            answer.set_result(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
         except Exception as error:  # which one depends on what is wrong
-            answers.put(error)
+            answer.set_exception(error)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", VersionMismatchWarning)  # we compare those that matter
         # In a thread, since a client waits forever for a service that is silent or speaks HTTP.
         threading.Thread(target=connect, daemon=True).start()
         try:
-            answer = answers.get(timeout=CONNECT_TIMEOUT_S + 1.0)
-        except queue.Empty:
-            answer = TimeoutError("another service does, such as Dask's dashboard")
-    if isinstance(answer, Exception):
-        reason = first_error_line(answer)
-        raise InputError(f"{address}: no Dask scheduler answers there ({reason})")
-    return answer
+            return answer.result(CONNECT_TIMEOUT_S + 1.0)
+        except Exception as error:
+            reason = first_error_line(error) or "another service does, such as Dask's dashboard"
+            raise InputError(f"{address}: no Dask scheduler answers there ({reason})") from None
 
 
 class _Workers:
