@@ -110,11 +110,6 @@ STUDIES = {
         },
         objective="final_error",
     ),
-    "random walk": tuned(
-        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
-        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
-        objective="final_error",
-    ),
     "compass": tuned(
         {
             "sigma_factors": [linear(1.0, 2.0), linear(0.5, 2.0), {"fixed": 0.7}],
@@ -372,11 +367,7 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(gradient, "Slope", FlatSlope)
     monkeypatch.setattr(
-        search,
-        "score_points",
-        lambda study, name, candidates, values, run_cases: search.PointScores(
-            [0.0] * len(values), study, np.zeros(len(values), int)
-        ),
+        gradient._Descents, "_score", lambda self, values, draws=None: [0.0] * len(values)
     )
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
