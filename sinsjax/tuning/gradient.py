@@ -165,7 +165,7 @@ class _Descents:
             values,
             lambda of: run.run(of, self._stored, curves=False, progress=False).summary,
         )
-        self._cost += search.total_steps(scored.derived)
+        self._cost += scored.costs[-1]
         return scored.scores
 
 
