@@ -74,6 +74,8 @@ def test_start_tutorial_commands_run_with_expected_output(
     assert "reset_sweep: 56 runs in " in first and "By reset_count" not in first
     assert "By reset_count" in full
     assert sinsjax.read_summary(Path("gravity"))["ok_floor"].to_pylist() == [True] * 56
+    shares = [re.findall(r"Success +(\d+) \[.* floor, (\d+) \[", text) for text in told[7:9]]
+    assert shares == [[("94", "88")], [("94", "6")]]  # from the bias floor, and from north
     assert "identical" in told[9]
     assert Path("first/figures/settling_time.png").exists()
 
