@@ -1,7 +1,6 @@
 """Gradient search: gradients against differences, parameters by variables, descents, cost."""
 
 import threading
-from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 import pytest
 from scipy.stats import mstats
 from support.studies import small_study
@@ -25,28 +23,6 @@ from sinsjax.tuning import gradient, history, objective, run_tuning, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def mixing_optax() -> Iterator[None]:
-    """Allow type promotion in optax's update alone.
-
-    If it were allowed in a whole descent, its threads would trace the slope again without it.
-    """
-    strict = optax.adam
-
-    def adam(rate: optax.Schedule) -> optax.GradientTransformation:
-        made = strict(rate)
-
-        def update(*arguments: Any) -> Any:
-            with jax.numpy_dtype_promotion("standard"):
-                return made.update(*arguments)
-
-        return made._replace(update=update)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optax, "adam", adam)
-        yield
 
 
 def log(low: float, high: float) -> dict[str, Any]:
