@@ -117,7 +117,9 @@ class _Descents:
             if on_progress is not None:
                 done, total = ((n * starts * slope.draws) for n in (step + 1, steps))
                 on_progress(RunProgress(done, total, 0, 0))
-            moves, state = adam.update(np.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
+            finite = np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
+            with jax.numpy_dtype_promotion("standard"):  # which optax is written for
+                moves, state = adam.update(finite, state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
         return [*evaluations, *self._evaluate_ends(box)]
 
@@ -165,7 +167,7 @@ class _Descents:
             values,
             lambda of: run.run(of, self._stored, curves=False, progress=False).summary,
         )
-        self._cost += search.total_steps(scored.derived)
+        self._cost += scored.costs[-1]
         return scored.scores
 
 

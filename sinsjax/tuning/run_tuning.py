@@ -96,13 +96,11 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
         best = min(results, key=lambda result: result.best.objective)
         _evaluate_best_points(study, results, best.best.candidate, session)
         tuned = make_tuned_study(study, best.point(SearchSpace.from_study(study)))
-        new = (
-            ""
-            if study.is_recorded
-            else "# The seed is new: its draws neither tuned nor evaluated.\n"
-        )
+        text = study_to_toml(tuned)
+        if not study.is_recorded:
+            text = f"# The seed is new: its draws neither tuned nor evaluated.\n{text}"
         with atomic_write(directory / TUNED) as file:
-            file.write(f"{new}{study_to_toml(tuned)}".encode())
+            file.write(text.encode())
 
 
 def make_tuned_study(study: Study, point: TomlTable) -> Study:

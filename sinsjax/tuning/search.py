@@ -149,24 +149,15 @@ def evaluate_design(
         values,
         lambda derived: results.read_summary(session.run(derived, name), names),
     )
-    case_cost = total_steps(scored.derived) // len(scored.derived.cases)
-    costs = case_cost * (np.maximum.accumulate(scored.cases) + 1)
-    rows = zip(candidates, values, scored.scores, costs.tolist(), strict=True)
+    rows = zip(candidates, values, scored.scores, scored.costs, strict=True)
     return SearchResult(name, [Evaluation(number, *row) for number, row in enumerate(rows)])
 
 
 class PointScores(NamedTuple):
-    """Scores of some points.
-
-    Attributes:
-        scores: the objective of each point.
-        derived: study of the runs, each distinct point being a case.
-        cases: (points,) number of the case of each point.
-    """
+    """The objective of each point, and the steps so far; equal points cost nothing."""
 
     scores: list[float]
-    derived: Study
-    cases: NDArray
+    costs: list[int]
 
 
 def score_points(
@@ -176,7 +167,7 @@ def score_points(
     values: Iterable[Sequence[float]],
     run_cases: Callable[[Study], pa.Table],
 ) -> PointScores:
-    """Score some points; equal ones are run once.
+    """Score some points; each distinct one is a case of a study.
 
     Args:
         study: study with [tune].
@@ -199,7 +190,8 @@ def score_points(
     derived = derive_study(study, cases, name=f"{study.name}_{name}")
     by_case = point_values(study, derived, run_cases(derived))
     scores = [objective.score(study.tune, by_case[number]) for number in numbers]
-    return PointScores(scores, derived, np.array(numbers))
+    costs = total_steps(derived) // len(cases) * (np.maximum.accumulate(numbers) + 1)
+    return PointScores(scores, costs.tolist())
 
 
 def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:

@@ -1,7 +1,6 @@
 """Gradient search: gradients against differences, parameters by variables, descents, cost."""
 
 import threading
-from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 import pytest
 from scipy.stats import mstats
 from support.studies import small_study
@@ -25,28 +23,6 @@ from sinsjax.tuning import gradient, history, objective, run_tuning, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def mixing_optax() -> Iterator[None]:
-    """Allow type promotion in optax's update alone.
-
-    If it were allowed in a whole descent, its threads would trace the slope again without it.
-    """
-    strict = optax.adam
-
-    def adam(rate: optax.Schedule) -> optax.GradientTransformation:
-        made = strict(rate)
-
-        def update(*arguments: Any) -> Any:
-            with jax.numpy_dtype_promotion("standard"):
-                return made.update(*arguments)
-
-        return made._replace(update=update)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optax, "adam", adam)
-        yield
 
 
 def log(low: float, high: float) -> dict[str, Any]:
@@ -108,11 +84,6 @@ STUDIES = {
             "resets": {"reset_count": 2, "reset_first_s": 8.0, "reset_cycle_s": 10.0}
             | {"reset_kind": "yaw"},
         },
-        objective="final_error",
-    ),
-    "random walk": tuned(
-        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
-        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
         objective="final_error",
     ),
     "compass": tuned(
@@ -372,11 +343,7 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(gradient, "Slope", FlatSlope)
     monkeypatch.setattr(
-        search,
-        "score_points",
-        lambda study, name, candidates, values, run_cases: search.PointScores(
-            [0.0] * len(values), study, np.zeros(len(values), int)
-        ),
+        gradient._Descents, "_score", lambda self, values, draws=None: [0.0] * len(values)
     )
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
