@@ -23,7 +23,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.directory import read_manifest
 from sinsjax.messages import CONTROL
 from sinsjax.report.base import Fact, Report, Table
-from sinsjax.report.markdown import escape_markdown
+from sinsjax.report.markdown import escape_markdown, to_html
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -99,7 +99,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
@@ -110,8 +110,7 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
     report.print_report(whole, said, results)
     report.print_report(whole, said, results, full=True)
-    report.write_html_page(tmp_path / "page.html", f"name{odd}", [(whole, {})])
-    page = (tmp_path / "page.html").read_text()
+    page = to_html(f"name{odd}", [(whole, {})])
     for text in (said.file.getvalue(), page):
         assert not CONTROL.search(text.replace("\n", ""))
         for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
