@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,9 +15,10 @@ from rich.console import Console
 from support.stored_results import report_text, store_results, write_part
 from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
-from sinsjax import columns, report
 from sinsjax import console as screen
+from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import read_manifest
 from sinsjax.messages import CONTROL
@@ -49,14 +49,7 @@ def store_nasty_results(directory: Path) -> Path:
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
     study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
-    count = 2 * len(NASTY)
-    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
-    rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])
-    rows |= {name: np.linspace(1.0, 2.0, count) for name in rows}
-    rows |= {name: [True] * count for name in ("has_floor", "ok_floor", "ok_truth")}
-    rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
-    rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
-    return store_results(directory, study, pa.table(rows))
+    return store_results(directory, study, synthetic_summary(study))
 
 
 @pytest.fixture(scope="module")
