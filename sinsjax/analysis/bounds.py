@@ -11,7 +11,6 @@ numbers of runs differ, the weighted share is the ratio of the weighted sums, as
 
 import math
 from bisect import bisect_left
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ def share_bounds(hits: NDArray, runs: NDArray, tail: float) -> tuple[float, floa
         tail: probability of a share beyond one of the bounds.
     """
     low, rest = (
-        _weighted_share_quantile(*_count_draws(np.append(k, 0), np.append(runs, runs.max())), tail)
+        _weighted_share_quantile(np.append(k, 0.0), np.append(runs, runs.max()), tail)
         for k in (hits, runs - hits)
     )
     return low, 1 - rest
@@ -80,10 +79,11 @@ def quantile_bounds(
 
     def may_reach(place: int) -> bool:  # -1: below all values
         others = sizes - hits(place, float(np.mean(least <= distinct[max(place, 0)])))
-        return not _exceeds(others, sizes, 1 - q, tail)
+        return _probability_below(1 - q, others, sizes) >= tail
 
     def must_exceed(place: int) -> bool:
-        return _exceeds(hits(place, float(np.mean(most < distinct[place]))), sizes, q, tail)
+        own = hits(place, float(np.mean(most < distinct[place])))
+        return _probability_below(q, own, sizes) < tail
 
     middle = min(int(np.searchsorted(ends / values.size, q)), distinct.size - 1)
     low = bisect_left(range(middle + 1), True, key=may_reach)
@@ -94,55 +94,43 @@ def quantile_bounds(
     )
 
 
-def _count_draws(hits: NDArray, runs: NDArray) -> tuple[tuple[float, ...], ...]:
-    """Hits and runs of the different draws, and the number of draws that have the same."""
-    pairs, copies = np.unique(hits + 1j * runs, return_counts=True)
-    return tuple(pairs.real), tuple(pairs.imag), tuple(copies.astype(float))
-
-
-def _exceeds(hits: NDArray, runs: NDArray, share: float, tail: float) -> bool:
-    """Return whether a share is below the ``tail`` quantile of the weighted share."""
-    return _probability_below(share, *map(np.array, _count_draws(hits, runs))) < tail
-
-
-@lru_cache(maxsize=4096)
-def _weighted_share_quantile(
-    hits: tuple[float, ...], runs: tuple[float, ...], copies: tuple[float, ...], tail: float
-) -> float:
+def _weighted_share_quantile(hits: NDArray, runs: NDArray, tail: float) -> float:
     """The ``tail`` quantile of the weighted share, which is below the share of all runs."""
     from scipy import optimize  # late: it takes a tenth of a second, and few studies need it
 
-    draws = tuple(map(np.array, (hits, runs, copies)))
-    shares, place = np.unique(draws[0] / draws[1], return_inverse=True)
+    shares, draws = np.unique(hits / runs, return_counts=True)
     if shares.size == 1:
         return float(shares[0])
-    if shares.size == 2 and np.ptp(draws[1]) == 0:
-        few, many = np.bincount(place, draws[2])
+    if shares.size == 2 and np.ptp(runs) == 0:
+        few, many = draws
         return float(shares[0] + np.ptp(shares) * special.betaincinv(many, few, tail))
-    mean = float(draws[0] @ draws[2]) / float(draws[1] @ draws[2])
     found = optimize.brentq(
-        lambda value: _probability_below(value, *draws) - tail, shares[0], mean, xtol=1e-9
+        lambda share: _probability_below(share, hits, runs) - tail,
+        shares[0],
+        hits.sum() / runs.sum(),
+        xtol=1e-9,
     )
     return float(found)
 
 
-def _probability_below(share: float, hits: NDArray, runs: NDArray, copies: NDArray) -> float:
+def _probability_below(share: float, hits: NDArray, runs: NDArray) -> float:
     """Probability that the weighted share is below a value; 1 from the share of all runs on.
 
     The weights are exponential variables over their sum, so this is the probability that the sum of
     these variables times ``excess`` is negative: the integral of its moment generating function
     over s along the line Re(s) = -at through the saddle point, for Im(s) = width sinh u, by the
-    trapezoidal rule in u.
+    trapezoidal rule in u. Equal draws are counted together.
     """
     from scipy import optimize
 
     excess = hits - share * runs
     excess[np.abs(excess) < _ROUNDING * runs] = 0.0
+    excess, copies = np.unique(excess, return_counts=True)
     if copies @ excess <= 0:
         return 1.0
-    if excess.min() >= 0:
+    if excess[0] >= 0:
         return 0.0
-    most = -1 / excess.min()
+    most = -1 / excess[0]
 
     def rise(at: float) -> float:
         return float(copies @ (excess / (1 + excess * at))) + 1 / at

@@ -72,12 +72,6 @@ def format_heading_error(error_arcmin: Estimate) -> str:
     return format_estimate(error_arcmin, digits=digits, infinite="no number")
 
 
-def format_degrees(*angles_deg: float) -> str:
-    """Return angles as a misalignment is printed: ``(5, 5, 30) deg``, or ``30 deg`` for one."""
-    text = ", ".join(f"{angle:g}" for angle in angles_deg)
-    return f"({text}) deg" if len(angles_deg) > 1 else f"{text} deg"
-
-
 def format_percent(share: Estimate) -> str:
     """A share with its interval as a number of percent."""
     low, value, high = (100 * x for x in (share.low, share.value, share.high))

@@ -104,34 +104,29 @@ def summarise(table: Any, by: str | Sequence[str], names: Sequence[str] | None =
     """Compute the statistics of each group of runs, one row per group.
 
     Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
-    and ``X_high`` for every statistic X with its 95 % interval. If a group has several runs of a
-    draw, the interval counts draws; for runs on a record there is none (see
-    `sinsjax.analysis.estimates`):
+    and ``X_high`` for every statistic X with its 95 % interval (over the draws; none for runs on a
+    record, see `sinsjax.analysis.estimates`), and ``X_n``, the runs used, if X omits non-finite
+    values:
 
-    * ``success_rate`` (status ``ok``, by the study's criterion) and ``diverged_rate``: shares of
-      all runs; ``success_truth_rate``: the share of runs that end within the success band about the
-      truth; ``success_floor_rate``: the same about the bias floor, of the runs that have one;
-    * for each band B of the table ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
+    * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
+      ``success_truth_rate``, ``success_floor_rate``: that end within the band about the truth, and
+      about the bias floor;
+    * for each band B ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
       ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
-      interval, all about the bias floor; about the truth the same of ``settle_B_truth_s``; all but
-      the count also for ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes
-      over a stored record;
-    * the heading error from the truth, arcmin, for ``phi_u_arcmin`` at the end and every column
-      ``phi_u_at_T_arcmin``: ``phi_u_arcmin_rms`` of the finite values (180 deg at most), and
-      ``phi_u_arcmin_abs_q90``, the value that |phi_u| of 90 % of the runs does not exceed (a run
-      without a number counts as infinite);
-    * ``phi_u_mean_arcmin_mean`` and ``phi_u_mean_arcmin_std``: the signed window means over the
-      runs, the second null if they ended in more than one status: then ``phi_u_mean_arcmin_q10``,
-      ``..._median`` and ``..._q90`` give the spread of the finite values;
+      interval; about the truth the same of ``settle_B_truth_s``; all but the count also of
+      ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a stored record;
+    * the heading error from the truth, arcmin, at the end and at report times: ``phi_u_arcmin_rms``
+      (180 deg at most), ``phi_u_arcmin_abs_q90``, which 90 % of the runs do not exceed (a run
+      without a number counts as infinite), and the same of ``phi_u_at_T_arcmin``;
+    * the signed window means, arcmin: ``phi_u_mean_arcmin_mean``, ``..._std`` (null if the runs
+      ended in more than one status), ``..._q10``, ``..._median``, ``..._q90`` of the finite values;
       ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
       standard deviation inside a run's window;
-    * ``nees_median`` (a non-finite run counts as infinite), ``nees_mean`` and ``nis_u_mean``, the
-      last two with the chi-square band of the mean in ``X_chi2_low`` and ``X_chi2_high``, which
-      holds only for a consistent filter.
+    * ``nees_median``, ``nees_mean`` and ``nis_u_mean``, the means with the band of a consistent
+      filter in ``X_chi2_low`` and ``X_chi2_high``.
 
-    Statistics about the bias floor use only runs that have one, all but ``no_floor`` of them. A
-    mean, standard deviation or rms omits non-finite values; ``X_n`` is the number of runs used.
-    Null is unknown, as all but ``n`` and ``nonfinite`` are without truth or reference.
+    Statistics about the bias floor use only runs that have one. Null is unknown, as all but ``n``
+    and ``nonfinite`` are without truth or reference.
 
     Args:
         table: the summary, one row per run; an Arrow table or a pandas frame.

@@ -54,13 +54,18 @@ def print_reports(
             with_tables = full or html is not None
             source, report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
             images = report.draw()
-            save_figures(images, directory / FIGURES_FOLDER)
+            make_folder(directory / FIGURES_FOLDER)
+            for name, content in images.items():
+                with atomic_write(directory / FIGURES_FOLDER / f"{name}.png") as file:
+                    file.write(content)
             remove_other_figures(directory, [f"{name}.png" for name in images])
             print_report(report, console, directory, full=full)
             drawn.append((report, images))
             names[source.study.name] = None
         if html is not None:
-            write_html_page(html, ", ".join(names), drawn)
+            make_folder(html.parent)
+            with atomic_write(html) as file:
+                file.write(to_html(", ".join(names), drawn).encode())
     except InputError:
         raise
     except Exception as error:
@@ -108,28 +113,3 @@ def print_report(report: Report, console: Console, directory: Path, *, full: boo
     if report.pictures:
         listed = ", ".join(f"{picture.name}.png" for picture in report.pictures)
         print_line(console, f"Figures: {listed}.", wrap=True)
-
-
-def save_figures(images: Mapping[str, bytes], directory: Path) -> None:
-    """Write PNG files, by their names without extension, to a directory, created if missing.
-
-    Raises:
-        InputError: the directory cannot be written.
-    """
-    make_folder(directory)
-    for name, content in images.items():
-        with atomic_write(directory / f"{name}.png") as file:
-            file.write(content)
-
-
-def write_html_page(
-    path: Path, title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]
-) -> None:
-    """Write reports with their PNG files as a page: no network, no other files, no script.
-
-    Raises:
-        InputError: the page cannot be written.
-    """
-    make_folder(path.parent)
-    with atomic_write(path) as file:
-        file.write(to_html(title, reports).encode())

@@ -17,7 +17,7 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
 from sinsjax.records.layout import parse_axes_order
 from sinsjax.records.motion import EARTH_RATE
-from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table
+from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table, caution
 from sinsjax.report.verdict import (
     SweepOutcome,
     answer_facts,
@@ -78,7 +78,7 @@ def _attitude_fact(
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _HEADERS)
     if pitch is None or roll is None:
-        return Fact("Attitude", "unknown, the run is not finite", True)
+        return caution("unknown, the run is not finite", "Attitude")
     text, sigmas = f"pitch {pitch:.3f}, roll {roll:.3f} deg", [row[name] for name in _LEVEL_SIGMAS]
     if not finds_heading and None not in sigmas:
         biases = max(source.study.values("level_accel_bias_ug"))
@@ -143,10 +143,10 @@ def _caution_facts(source: Results) -> Iterator[Fact]:
     if filters and not all(map(estimates_biases, filters)):
         text = "1 sigma is the filter's own and excludes constant biases: add their floor in"
         text += " quadrature, or use gravity_fit with fit_gyro_bias_deg_per_h"
-        yield Fact("Caution", text, True)
+        yield caution(text)
     mean, _, high = _innovation_statistics(source) or (np.zeros(0),) * 3
     if count := int((mean > high).sum()):
-        yield Fact("Caution", f"the innovations of {count:,} runs contradict their 1 sigma", True)
+        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
     record = source.study.record
     if "gravity_fit" not in source.study.methods:
         return
@@ -157,7 +157,7 @@ def _caution_facts(source: Results) -> Iterator[Fact]:
     bias = float(np.nanmax(np.abs(biases), initial=0.0))
     if limit is not None and bias > limit:  # beyond what the checks of a record accept
         text = f"the fit finds a gyro bias of {bias:.3g} deg/h, beyond {limit:.3g}"
-        yield Fact("Caution", f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?", True)
+        yield caution(f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?")
 
 
 def _final_attitude_table(source: Results, rows: list[dict[str, Any]]) -> Table:

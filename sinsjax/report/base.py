@@ -99,6 +99,11 @@ class Fact(NamedTuple):
     is_caution: bool = False
 
 
+def caution(text: str, label: str = "Caution") -> Fact:
+    """Return a line of a verdict that warns."""
+    return Fact(label, text, True)
+
+
 class Report(NamedTuple):
     """The report on one directory of results.
 

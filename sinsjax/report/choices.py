@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis.formats import format_degrees
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
@@ -155,7 +154,7 @@ def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
     angles = [key for key in keys if key in _ANGLES]
     cells = []
     if len(angles) > 1:
-        cells.append(format_degrees(*(values.pop(key) for key in angles)))
+        cells.append(f"({', '.join(f'{values.pop(key):g}' for key in angles)}) deg")
     for key, value in values.items():
         text, unit = format_value(value), condition_name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)

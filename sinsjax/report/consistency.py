@@ -13,7 +13,7 @@ from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.plots.comparison import MAX_LINES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
-from sinsjax.report.base import Fact, Picture
+from sinsjax.report.base import Fact, Picture, caution
 from sinsjax.study.schema import BIAS_KEYS
 
 
@@ -104,4 +104,4 @@ def covariance_cautions(source: Results) -> Iterator[Fact]:
         runs = (method_of_run == name) & ~failed
         if bad := int(np.sum(runs & (~known | (nees < 0)))):
             text = f"the covariance of {name} is negative or not finite at the end of {bad:,} of"
-            yield Fact("Caution", f"{text} {format_count(int(runs.sum()), 'run')}", True)
+            yield caution(f"{text} {format_count(int(runs.sum()), 'run')}")

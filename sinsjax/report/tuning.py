@@ -12,7 +12,7 @@ from sinsjax.analysis.formats import format_percent
 from sinsjax.messages import format_count
 from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.report import tuning_figures
-from sinsjax.report.base import NO_INTERVAL, Fact, Report, Table, build_table
+from sinsjax.report.base import NO_INTERVAL, Fact, Report, Table, build_table, caution
 from sinsjax.study.search_space import Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
@@ -124,7 +124,7 @@ def _caution_facts(tuning: Tuning) -> Iterator[Fact]:
     on_bounds = tuning.values_on_bounds.get(tuning.best, ())
     if ends := ", ".join(f"{v.name} = {format_value(value)}" for v, value in on_bounds):
         texts.append(f"{ends}: at the end of the range, a better value may lie beyond")
-    yield from (Fact("Caution", text, True) for text in texts)
+    yield from map(caution, texts)
 
 
 def _summary_table(tuning: Tuning) -> Table:

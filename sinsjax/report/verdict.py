@@ -22,7 +22,7 @@ from sinsjax.execution.checks import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit.method import REFITS
-from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table
+from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table, caution
 from sinsjax.report.choices import (
     Choices,
     condition_header,
@@ -253,8 +253,8 @@ def split_warnings(source: Results, *, warnings_shown: bool) -> tuple[list[Fact]
     study, recorded = source.study, source.study.is_recorded
     bands = [] if recorded else [*band_warnings(study)]
     others = () if warnings_shown else source.warnings
-    facts = [Fact("Warning", line, True) for line in others if line not in bands]
-    return [Fact("Band", line, True) for line in bands], facts
+    facts = [caution(line, "Warning") for line in others if line not in bands]
+    return [caution(line, "Band") for line in bands], facts
 
 
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
@@ -349,19 +349,17 @@ def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     best, study, criterion = outcome.best, outcome.source.study, outcome.criterion
     text, agrees = outcome.held_out
     if study.is_recorded:
-        yield Fact("Caution", "no intervals, since all runs are on one record", True)
+        yield caution("no intervals, since all runs are on one record")
     elif not agrees:
-        yield Fact("Caution", text, True)
+        yield caution(text)
     ok = int(np.isfinite(outcome.time_s[best]).sum())
     off = int(criterion.outside_floor_band(lambda name: outcome.flat(name, best)).sum())
     if off > _RARE * ok:
         number = "All" if off == ok else f"{off:,} of the"
-        yield Fact(
-            "Caution",
+        yield caution(
             f"{number} {format_count(ok, 'successful run')} of the best end more than"
             f" {criterion.band_arcmin:g}' from their bias floors: they have not converged,"
-            " and their errors happen to be small",
-            True,
+            " and their errors happen to be small"
         )
     yield from process_noise_caution(outcome.source)
 
@@ -374,11 +372,9 @@ def process_noise_caution(source: Results) -> Iterator[Fact]:
     most = max(ratios, default=0.0)
     if most > _MAX_Q_RATIO:
         which = "Q" if min(ratios) > _MAX_Q_RATIO else "Q of some variants"
-        yield Fact(
-            "Caution",
+        yield caution(
             f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
-            " that repairs a mistuned filter is no recommendation (delete its q_ keys)",
-            True,
+            " that repairs a mistuned filter is no recommendation (delete its q_ keys)"
         )
 
 
@@ -396,7 +392,7 @@ def fit_cautions(source: Results, rare: float = 0.0) -> Iterator[Fact]:
         above = values[values > limit]
         if above.size > rare * values.size:
             which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
-            yield Fact("Caution", doubt.format(above.max()) + which, True)
+            yield caution(doubt.format(above.max()) + which)
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:

@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,14 +15,15 @@ from rich.console import Console
 from support.stored_results import report_text, store_results, write_part
 from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
-from sinsjax import columns, report
 from sinsjax import console as screen
+from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import read_manifest
 from sinsjax.messages import CONTROL
 from sinsjax.report.base import Fact, Report, Table
-from sinsjax.report.markdown import escape_markdown
+from sinsjax.report.markdown import escape_markdown, to_html
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -49,14 +49,7 @@ def store_nasty_results(directory: Path) -> Path:
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
     study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
-    count = 2 * len(NASTY)
-    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
-    rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])
-    rows |= {name: np.linspace(1.0, 2.0, count) for name in rows}
-    rows |= {name: [True] * count for name in ("has_floor", "ok_floor", "ok_truth")}
-    rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
-    rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
-    return store_results(directory, study, pa.table(rows))
+    return store_results(directory, study, synthetic_summary(study))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +92,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
@@ -110,8 +103,7 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
     report.print_report(whole, said, results)
     report.print_report(whole, said, results, full=True)
-    report.write_html_page(tmp_path / "page.html", f"name{odd}", [(whole, {})])
-    page = (tmp_path / "page.html").read_text()
+    page = to_html(f"name{odd}", [(whole, {})])
     for text in (said.file.getvalue(), page):
         assert not CONTROL.search(text.replace("\n", ""))
         for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):

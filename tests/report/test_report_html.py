@@ -14,6 +14,7 @@ from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.report import base, monte_carlo
+from sinsjax.report.markdown import to_html
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
@@ -46,14 +47,13 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def test_html_page_contains_whole_report_literally_and_nothing_else(tmp_path):
+def test_html_page_contains_whole_report_literally_and_nothing_else():
     table = base.Table(NASTY, [NASTY], [[NASTY]], NASTY)
     picture = base.Picture("fig", NASTY, Figure())
     picture.figure.suptitle(NASTY)
     facts = [base.Fact("Best", NASTY)]
     made = base.Report("title", facts, None, [NASTY, table, picture], origin="study.toml of a<b")
-    report.write_html_page(tmp_path / "page.html", "<i>& so", [(made, {"fig": PNG})])
-    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    text = to_html("<i>& so", [(made, {"fig": PNG})])
     assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
     assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
     read = Reader(text)
