@@ -26,7 +26,7 @@ DOUBLE_RESET_S = 1.0
 
 def build_report(tuning: Tuning) -> Report:
     """Return the candidates on the unused draws, and how the searches found them."""
-    pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
+    pictures = tuning_figures.landscape_pictures(tuning)
     variants = tuning.run_values.shape[1]
     variants_text = f" × {variants} variants" if variants > 1 else ""
     return Report(

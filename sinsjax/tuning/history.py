@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
@@ -81,22 +80,6 @@ class SearchResult(NamedTuple):
     def relaxed_evaluations(self) -> list[Evaluation]:
         """The relaxed evaluations, those of descents."""
         return [e for e in self.evaluations if e.sharpness is not None]
-
-    @property
-    def best_by_cost(self) -> tuple[NDArray, NDArray, bool]:
-        """Cost and best objective so far, and whether that is relaxed.
-
-        Descents have the best of all of them at each step.
-        """
-        if relaxed := self.relaxed_evaluations:
-            steps: dict[int, list[Evaluation]] = {}
-            for evaluation in relaxed:
-                steps.setdefault(evaluation.step, []).append(evaluation)
-            cost = [max(e.cost for e in step) for step in steps.values()]
-            best = [min(e.objective for e in step) for step in steps.values()]
-            return np.array(cost), np.array(best), True
-        lowest = np.minimum.accumulate([e.objective for e in self.evaluations])
-        return np.array([e.cost for e in self.evaluations]), lowest, False
 
     def point(self, space: SearchSpace) -> TomlTable:
         """Return the keys and values of the best point."""
