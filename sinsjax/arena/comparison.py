@@ -71,7 +71,6 @@ class Comparison(NamedTuple):
         enough_draws: draws from which on the difference would be sure, by its scatter; None if
             the draws do not differ.
         draws: number of draws.
-        criterion: of success, in words.
         rivals: variants of each method with its settings by condition.
     """
 
@@ -83,7 +82,6 @@ class Comparison(NamedTuple):
     conditions: list[ConditionResult]
     enough_draws: int | None
     draws: int
-    criterion: str
     rivals: list[dict[tuple[Any, ...], int]]
 
     @property
@@ -169,7 +167,6 @@ def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Compar
         conditions if len(points) > 1 else [],
         _enough_draws((errors[0] - errors[1]).mean(axis=1)),
         len(error),
-        " or ".join(measure.description for measure in measures),
         [found for found in rivals if found.keys() >= program.keys()],
     )
 

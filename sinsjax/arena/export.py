@@ -18,7 +18,6 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -52,6 +51,10 @@ FORMATS = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
 """Formats of records, and the suffixes of their files."""
 
 _CHOICES = {"format": FORMATS, "quantity": ("increments", "rates"), "frame": FRAMES}
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_STARTS = ("yaw_deg", "pitch_deg", "roll_deg", *_QUATERNION, "v_east_m_per_s", "v_north_m_per_s")
+"""Columns of the first solution, which runs without a start lack."""
+
 _SCHEMA = 1
 
 
@@ -239,19 +242,16 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
 
 def initial_rows(runs: ProgramRuns, form: Form) -> dict[str, NDArray]:
     """Return the columns of the initial solutions by name, one row per run, by run_id."""
-    starts = np.empty((len(runs.run_id), 9))
+    starts: dict[str, NDArray] = {}
     for part in runs.parts:
-        found = jax.tree.leaves(given.find_starts(runs.batch(part)))
-        starts[runs.places(part, runs.draws)] = np.stack(found, axis=-1)
-    *q, ve, vn, latitude, height, gravity = starts.T
-    has_start = np.tile(runs.has_start, len(runs.draws))
-
-    def where_known(values: NDArray) -> NDArray:
-        return np.where(has_start, values + 0.0, np.nan)  # no -0
-
-    attitude = Quat(*q)
+        for name, column in given.find_starts(runs.batch(part)).items():
+            whole = starts.setdefault(name, np.empty(len(runs.run_id)))
+            whole[runs.places(part, runs.draws)] = column
+    attitude = Quat(*(starts[f"q_{axis}"] for axis in "wxyz"))
     pitch, roll, yaw = to_angles(attitude, form.frame).T / DEG
-    quaternion = to_quaternion(attitude, form.frame)
+    starts |= {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+    starts |= dict(zip(_QUATERNION, to_quaternion(attitude, form.frame).T, strict=True))
+    known = np.tile(runs.has_start, len(runs.draws))
     draw, variant = np.divmod(runs.run_id, runs.source.n_variants)
     environment = np.tile(runs.environments, len(runs.draws)).tolist()
     names = zip(environment, draw.tolist(), strict=True)
@@ -259,15 +259,10 @@ def initial_rows(runs: ProgramRuns, form: Form) -> dict[str, NDArray]:
         "run_id": runs.run_id,
         "draw_id": draw,
         "variant_id": variant,
-        "yaw_deg": where_known(yaw),
-        "pitch_deg": where_known(pitch),
-        "roll_deg": where_known(roll),
-        **{f"q_{axis}": where_known(quaternion[:, i]) for i, axis in enumerate("wxyz")},
-        "v_east_m_per_s": where_known(ve),
-        "v_north_m_per_s": where_known(vn),
-        "latitude_deg": latitude / DEG,
-        "height_m": height,
-        "gravity_m_per_s2": gravity,
+        **{name: np.where(known, starts[name] + 0.0, np.nan) for name in _STARTS},  # no -0
+        "latitude_deg": starts["latitude"] / DEG,
+        "height_m": starts["height_m"],
+        "gravity_m_per_s2": starts["gravity_m_per_s2"],
         "rate_hz": np.full(len(draw), float(runs.source.rate_hz)),
         "start_s": np.zeros(len(draw)),
         "end_s": np.full(len(draw), runs.end_s),
@@ -291,16 +286,15 @@ def _truth_parquet(runs: ProgramRuns, form: Form) -> bytes:
         part = runs.part_of(number)
         truth = given.true_attitudes_at_records(runs.batch(part))
         time_s = runs.study.update_times(runs.study.lengths.to_list()[part.ids[0]])
-        for place, draw in enumerate(runs.draws):
-            attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
-            pitch, roll, yaw = to_angles(attitude, form.frame).T / DEG
-            columns = {
-                "file": [record_name(runs, form, number, draw)] * len(time_s),
-                "draw_id": np.full(len(time_s), draw),
-                "time_s": time_s,
-            }
-            angles = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
-            tables.append(pa.table(columns | angles))
+        names = [record_name(runs, form, number, draw) for draw in runs.draws]
+        pitch, roll, yaw = to_angles(Quat(*(a.T.ravel() for a in truth)), form.frame).T / DEG
+        columns = {
+            "file": np.repeat(names, len(time_s)),
+            "draw_id": np.repeat(runs.draws, len(time_s)),
+            "time_s": np.tile(time_s, len(names)),
+        }
+        angles = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+        tables.append(pa.table(columns | angles))
     pq.write_table(pa.concat_tables(tables), sink, compression="zstd")
     return sink.getvalue().to_pybytes()
 

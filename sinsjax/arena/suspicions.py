@@ -85,9 +85,9 @@ def _read(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
     """Yield other readings of results: what they suppose, in words, and attitudes."""
     angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
     if given.has_quaternions:
-        for order_words, (order, sign) in _QUATERNIONS.items():
+        for text, (order, sign) in _QUATERNIONS.items():
             values = given.values[:, order] * [1, sign, sign, sign]
-            yield (order_words,), from_quaternion(values, given.frame)
+            yield (text,), from_quaternion(values, given.frame)
     else:
         angles, units = given.values, units | {"are the angles in radians": 1 / DEG}
     for (unit, factor), (yaw, (sign, turn)) in product(units.items(), _YAWS.items()):

@@ -139,33 +139,19 @@ def score(
 def _result_table(comparison: Any) -> Any:
     """Return the table of a comparison, one row per condition."""
     from sinsjax.analysis import format_estimate
-    from sinsjax.analysis.formats import format_percent
     from sinsjax.report.base import Table
     from sinsjax.report.choices import condition_header, format_condition
 
-    name, rows = comparison.name, [*comparison.conditions, comparison.overall]
-    has_nees = any(row.nees for row in rows)
-    header = [
-        condition_header(comparison.keys) or "conditions",
-        f"{name} (arcmin)",
-        "best (arcmin)",
-        "difference (arcmin)",
-        f"{name} ok (%)",
-        "best ok (%)",
-        *([f"{name} NEES, expected 3"] if has_nees else []),
-    ]
-    cells = [
+    header = [condition_header(comparison.keys) or "conditions", comparison.name, "best"]
+    rows = [
         [
             "all" if row.point is None else format_condition(comparison.keys, row.point),
             *map(format_estimate, (row.program, row.best, row.difference)),
-            format_percent(row.success),
-            format_percent(row.success_best),
-            *([format_estimate(row.nees) if row.nees else ""] if has_nees else []),
         ]
-        for row in rows
+        for row in (*comparison.conditions, comparison.overall)
     ]
-    title = f"Mean heading error, and success ({comparison.criterion}); best: {comparison.best}"
-    return Table(title, header, cells)
+    title = f"Mean heading error (arcmin); best: {comparison.best}"
+    return Table(title, [*header, "difference"], rows)
 
 
 def _parse_draws(text: str | None) -> tuple[int, int] | None:

@@ -315,8 +315,10 @@ def draw_lines(ensembles: Sequence[Ensemble], title: str, names: Mapping[str, st
                 style: Any = {"color": line_colour(i), "linewidth": 0.9, "alpha": 0.8}
                 axes.plot(time, middle + side, "--", **style)
                 known = (middle + side)[np.isfinite(middle + side)]
-                # Without the spikes at resets, which would flatten the rest.
-                edges.append(known if is_error else np.quantile(known, _SPIKES))
+                if known.size and not is_error:
+                    # Without the spikes at resets, which would flatten the rest.
+                    known = np.quantile(known, _SPIKES)
+                edges.append(known)
             edges.append(values[np.isfinite(values)])
             end = min(end, float(np.abs(values[:, -1]).max()))
         if axes.collections:

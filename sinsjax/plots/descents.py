@@ -1,4 +1,4 @@
-"""Figures of a tuning run: descents over the sampled objective, and best objective by cost."""
+"""The figure of a tuning run: descents over the sampled objective."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -20,7 +20,6 @@ from sinsjax.plots.style import (
     add_colour_bar,
     add_legend_below,
     colour_range,
-    line_colour,
     set_log_scale,
     with_style,
 )
@@ -52,24 +51,6 @@ class Points(NamedTuple):
     name: str
     values: NDArray
     objective: NDArray
-
-
-class CostCurve(NamedTuple):
-    """Progress of a search.
-
-    Attributes:
-        name: name of the search.
-        cost: (n,) cost so far, ascending.
-        best: (n,) best objective at that cost.
-        relaxed: whether the objective is relaxed.
-        final: final cost and unrelaxed objective of a relaxed search, else None.
-    """
-
-    name: str
-    cost: NDArray
-    best: NDArray
-    relaxed: bool
-    final: tuple[float, float] | None
 
 
 @with_style
@@ -167,31 +148,3 @@ def _draw_descents_and_marks(
         style: Any = {"marker": marker, "markersize": 15 if marker == "*" else 9, "color": colour}
         style |= {"markeredgecolor": "black", "linestyle": "none", "label": point.name}
         axes.plot(x, y, zorder=5 + len(marked) - number, **style)
-
-
-@with_style
-def draw_best_by_cost(searches: Sequence[CostCurve], objective_name: str, title: str) -> Figure:
-    """The best objective of each search against its cost so far.
-
-    Args:
-        searches: in the order of the legend.
-        objective_name: name of the objective, with its unit.
-        title: title of the figure.
-    """
-    figure = Figure(figsize=(8.4, 5.2))
-    figure.suptitle(title)
-    axes = figure.subplots()
-    for number, search in enumerate(searches):
-        style: Any = {"color": line_colour(number), "zorder": 2 + search.relaxed}
-        if not search.relaxed:
-            axes.step(search.cost, search.best, where="post", label=search.name, **style)
-            axes.plot(search.cost[-1], search.best[-1], marker="o", **style)
-            continue
-        axes.plot(search.cost, search.best, "--", label=f"{search.name}, relaxed", **style)
-        if search.final is not None:
-            axes.plot(*search.final, "D", label=f"{search.name}, its end with hard resets", **style)
-    axes.set_xscale("log")
-    axes.set_xlabel("cost (plain-run steps)")
-    axes.set_ylabel(fill(objective_name, _LETTERS))
-    add_legend_below(figure, axes)
-    return figure

@@ -55,22 +55,15 @@ class CellStatistic(NamedTuple):
     compute: Callable[[NDArray], NDArray]
 
 
-class MapPanel(NamedTuple):
-    """A panel of a map.
+class CellStyle(NamedTuple):
+    """Colours of the cells of a map, and decimals of their numbers."""
 
-    Attributes:
-        title: text above it.
-        values: (rows, columns) of the cells; a non-finite one means *never*.
-        hatched: (rows, columns) cells to hatch.
-        framed: the cell (row, column) to frame; None for none.
-    """
-
-    title: str
-    values: NDArray
-    hatched: NDArray
-    framed: tuple[int, int] | None
+    norm: Normalize
+    colours: str
+    digits: int
 
 
+@with_style
 def plot_map(  # noqa: PLR0913
     runs: Any,
     rows: str,
@@ -127,23 +120,59 @@ def plot_map(  # noqa: PLR0913
     chosen = [key for key in by if pooled is not None and key not in pooled]
     best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
     grids = grids[:MAX_PANELS]
-    panels = []
-    for name, grid in zip(_panel_titles([grid.point for grid in grids]), grids, strict=True):
-        flags = grid.column_values(hatched) if hatched else np.full((1, *grid.shape), np.nan)
-        framed = None  # also if the title names a cell of another panel
+    cells = [statistic.compute(grid.column_values(value)) for grid in grids]
+    flags = [grid.column_values(hatched) for grid in grids] if hatched else []
+    marked = [2 * np.nansum(runs, axis=0) > np.isfinite(runs).sum(axis=0) for runs in flags]
+    width = min(4, len({format_value(grid.point[by[-1]]) for grid in grids}) if by else 1)
+    height = -(-len(grids) // width)
+    side = max(2.3, 7.2 / width)  # width of a panel, in; together as wide as the title
+    wide, tall = side * width + 2.0, 3.0 * height + 1.3
+    up, across = ([_tick_label(key, v) for v in values] for key, values in axes.items())
+    # Set before the axes are created: later, every tick would be created twice.
+    tick = 10.5 if len(across) <= _ROOMY else 9
+    mpl.rcParams.update({"axes.grid": False, "xtick.labelsize": tick})
+    figure = Figure(figsize=(wide, tall))
+    figure.suptitle(fill(title or best_title, int(LETTERS * wide)))
+    places = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
+    places[0, 0].set_xticks(range(len(across)), across)
+    places[0, 0].set_yticks(range(len(up)), up)
+    # Equal cells, such as those of no reset, count once.
+    known = np.concatenate([np.unique(values[np.isfinite(values)]) for values in cells])
+    low, high = (0.0, 100.0) if statistic.kind == "share" else colour_range(known)
+    style = CellStyle(
+        Normalize(low, high, clip=True),
+        "viridis" if statistic.kind == "share" else "viridis_r",  # light is good
+        1 if statistic.kind == "rms" and high < 100 else 0,
+    )
+    titles, legend = _panel_titles([grid.point for grid in grids]), {}
+    for number, (place, grid) in enumerate(zip(places.flat, grids, strict=False)):
+        hatch = marked[number] if marked else np.zeros(grid.shape, bool)
+        image = _draw_cells(place, cells[number], hatch, style)
+        place.set_title(fill(titles[number], int(_LETTERS * side)))
+        # In every panel that the named cell is in.
         if best_point and all(best_point.get(key, at) == at for key, at in grid.point.items()):
             row, column = (list(values).index(best_point[key]) for key, values in axes.items())
-            framed = row, column
-        panels.append(
-            MapPanel(
-                name,
-                statistic.compute(grid.column_values(value)),
-                2 * np.nansum(flags, axis=0) > np.isfinite(flags).sum(axis=0),
-                framed,
-            )
-        )
-    across = len({format_value(grid.point[by[-1]]) for grid in grids}) if by else 1
-    return _draw_heat_maps(panels, title or best_title, statistic, axes, across, hatch_name)
+            frame: Any = _FRAME | {"clip_on": False, "zorder": 3}
+            place.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **frame))
+            legend["soonest" if statistic.kind == "time" else "best"] = _FRAME
+    for place in list(places.flat)[len(grids) :]:
+        place.set_visible(False)
+    for place in places[:, 0]:
+        place.set_ylabel(axis_label(rows))
+    turned = 0.085 * sum(map(len, across)) > 0.8 * side
+    for place in list(places.flat)[max(len(grids) - width, 0) : len(grids)]:
+        place.set_xlabel(axis_label(columns))
+        place.tick_params(axis="x", labelbottom=True, labelrotation=90 if turned else 0)
+    add_colour_bar(figure, places, image, statistic.name, known, int(8 * tall))
+    if any(hatch.any() for hatch in marked):
+        hatch_style = {"facecolor": "none", "edgecolor": "black", "hatch": _MARKED}
+        legend = {hatch_name: hatch_style} | legend
+    if not all(np.isfinite(values).all() for values in cells):
+        legend = {"never (median)": _NEVER} | legend
+    if legend:
+        handles = [Patch(**patch, label=label) for label, patch in legend.items()]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return figure
 
 
 def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
@@ -216,87 +245,29 @@ def _best_cell_overall(
     return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})", point
 
 
-@with_style
-def _draw_heat_maps(
-    panels: Sequence[MapPanel],
-    title: str,
-    statistic: CellStatistic,
-    axes: Mapping[str, Sequence[Any]],
-    panels_per_row: int,
-    hatch_name: str,
-) -> Figure:
-    """Draw heat maps of one quantity over two swept keys, side by side."""
-    (row_key, row_values), (column_key, column_values) = axes.items()
-    width = min(4, panels_per_row, len(panels))
-    height = -(-len(panels) // width)
-    side = max(2.3, 7.2 / width)  # width of a panel, in; together as wide as the title
-    wide, tall = side * width + 2.0, 3.0 * height + 1.3
-    # Set before the axes are created: later, every tick would be created twice.
-    tick = 10.5 if len(column_values) <= _ROOMY else 9
-    mpl.rcParams.update({"axes.grid": False, "xtick.labelsize": tick})
-    figure = Figure(figsize=(wide, tall))
-    figure.suptitle(fill(title, int(LETTERS * wide)))
-    grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    up, across = ([_tick_label(key, v) for v in values] for key, values in axes.items())
-    grid[0, 0].set_xticks(range(len(across)), across)
-    grid[0, 0].set_yticks(range(len(up)), up)
-    # Equal cells, such as those of no reset, count once.
-    known = np.concatenate([np.unique(p.values[np.isfinite(p.values)]) for p in panels])
-    low, high = (0.0, 100.0) if statistic.kind == "share" else colour_range(known)
-    digits = 1 if statistic.kind == "rms" and high < 100 else 0
-    for place, panel in zip(grid.flat, panels, strict=False):
-        image = _draw_heat_map(place, panel, Normalize(low, high, clip=True), statistic, digits)
-        place.set_title(fill(panel.title, int(_LETTERS * side)))
-    for place in list(grid.flat)[len(panels) :]:
-        place.set_visible(False)
-    for place in grid[:, 0]:
-        place.set_ylabel(axis_label(row_key))
-    turned = 0.085 * sum(map(len, across)) > 0.8 * side
-    for place in list(grid.flat)[max(len(panels) - width, 0) : len(panels)]:
-        place.set_xlabel(axis_label(column_key))
-        place.tick_params(axis="x", labelbottom=True, labelrotation=90 if turned else 0)
-    add_colour_bar(figure, grid, image, statistic.name, known, int(8 * tall))
-    handles = []
-    if any(not np.isfinite(panel.values).all() for panel in panels):
-        handles.append(Patch(**_NEVER, label="never (median)"))
-    if any(panel.hatched.any() for panel in panels):
-        hatch: Any = {"facecolor": "none", "edgecolor": "black", "hatch": _MARKED}
-        handles.append(Patch(**hatch, label=hatch_name))
-    if any(panel.framed for panel in panels):
-        handles.append(Patch(**_FRAME, label="soonest" if statistic.kind == "time" else "best"))
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-    return figure
-
-
 def _tick_label(key: str, value: Any) -> str:
     return "none" if key == "reset_count" and value == 0 else format_value(value)
 
 
-def _draw_heat_map(
-    axes: Axes, panel: MapPanel, norm: Normalize, statistic: CellStatistic, digits: int
-) -> AxesImage:
-    values, reverse = np.ma.masked_invalid(panel.values), statistic.kind != "share"
-    colours = "viridis_r" if reverse else "viridis"
-    image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
+def _draw_cells(axes: Axes, cells: NDArray, hatched: NDArray, style: CellStyle) -> AxesImage:
+    """Draw the cells of a panel; a non-finite one means *never*."""
+    values = np.ma.masked_invalid(cells)
+    options: Any = {"cmap": style.colours, "norm": style.norm, "aspect": "auto", "origin": "lower"}
+    image = axes.imshow(values, **options)
     axes.patch.set(**_NEVER)  # behind masked cells
-    light = np.ma.filled(norm(values), 0.0) > 0.5
-    shades = np.where(light != reverse, "black", "white")
-    for row, column in np.argwhere(np.isfinite(panel.values)):
-        shade, is_hatched = shades[row, column], panel.hatched[row, column]
+    light = np.ma.filled(style.norm(values), 0.0) > 0.5
+    shades = np.where(light != style.colours.endswith("_r"), "black", "white")
+    for row, column in np.argwhere(np.isfinite(cells)):
+        shade, is_hatched = shades[row, column], hatched[row, column]
         if is_hatched:
-            style: Any = {"fill": False, "edgecolor": shade, "hatch": _MARKED, "linewidth": 0}
-            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **style))
-        if values.shape[1] <= _LEGIBLE:
-            number = f"{values[row, column]:.{digits}f}"
-            style = {"size": 9.0 if values.shape[1] <= _ROOMY else 7.5, "color": shade}
-            text = axes.text(column, row, number, ha="center", va="center", **style)
+            patch: Any = {"fill": False, "edgecolor": shade, "hatch": _MARKED, "linewidth": 0}
+            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **patch))
+        if cells.shape[1] <= _LEGIBLE:
+            number = f"{cells[row, column]:.{style.digits}f}"
+            font: Any = {"size": 9.0 if cells.shape[1] <= _ROOMY else 7.5, "color": shade}
+            text = axes.text(column, row, number, ha="center", va="center", **font)
             text.set_in_layout(False)
             if is_hatched:  # a hatch leaves room for the number
-                colour = image.to_rgba(values[row, column])
+                colour = image.to_rgba(cells[row, column])
                 text.set_bbox({"facecolor": colour, "linewidth": 0, "pad": 1.0})
-    if panel.framed is not None:
-        row, column = panel.framed
-        style = _FRAME | {"clip_on": False, "zorder": 3}
-        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **style))
     return image

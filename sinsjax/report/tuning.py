@@ -30,7 +30,7 @@ def build_report(tuning: Tuning) -> Report:
     *others, last = (SEARCH_LABELS.get(name, name) for name in tuning.searches)
     searches = f"{', '.join(others)} and {last}" if others else last
     variants_text = f" × {variants} variants" if variants > 1 else ""
-    pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
+    pictures = tuning_figures.landscape_pictures(tuning)
     return Report(
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *_caution_facts(tuning)],

@@ -1,15 +1,9 @@
-"""The figures of a tuning: descents over the evaluated points, and best objective against cost."""
+"""The figure of a tuning: descents over the evaluated points."""
 
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import (
-    CostCurve,
-    Points,
-    VariableAxis,
-    draw_best_by_cost,
-    draw_descents,
-)
+from sinsjax.plots.descents import Points, VariableAxis, draw_descents
 from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
 from sinsjax.study.search_space import SearchSpace, Variable
@@ -91,26 +85,4 @@ def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[P
         )
         for name, result in tuning.searches.items()
         if result.best.candidate == candidate
-    ]
-
-
-def cost_pictures(tuning: Tuning) -> list[Picture]:
-    """Return the best objective of each search against its cost."""
-    if len(tuning.searches) < 2:
-        return []
-    searches = []
-    for name, result in tuning.searches.items():
-        cost, best, relaxed = result.best_by_cost
-        ending = (result.cost, result.best.objective) if relaxed else None
-        searches.append(CostCurve(SEARCH_LABELS[name], cost, best, relaxed, ending))
-    caption = "Best objective on the tuning draws against cost (steps of simulation)"
-    if any(search.relaxed for search in searches):
-        caption += "; dashed: the best of all descents at each step, relaxed, on its draws"
-    title = f"The best point is of the search: {SEARCH_LABELS[tuning.best]}"
-    return [
-        Picture(
-            "history",
-            f"{caption}.",
-            draw_best_by_cost(searches, objective_label(tuning.search_study), title),
-        )
     ]

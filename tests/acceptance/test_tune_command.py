@@ -147,9 +147,9 @@ def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) ->
         assert "on 4 unused draws" in text and "evaluations on 3 Monte Carlo runs" in text
         assert "at 41.7 % of its cost" in text
         assert "5, 10" in text and "Candidates on the unused draws" in text
-    assert "<h1>swing" in page and page.count("data:image/png;base64,") == 2
+    assert "<h1>swing" in page and page.count("data:image/png;base64,") == 1
     pictures = {path.name for path in (made / "figures").iterdir()}
-    assert pictures == {"descent.png", "history.png"}
+    assert pictures == {"descent.png"}
     shutil.rmtree(made / "figures")
 
 
