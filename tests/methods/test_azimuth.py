@@ -145,8 +145,7 @@ def test_north_drift_estimate_and_sigma_are_consistent():
 
 def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
-    params = surge.SurgeParams(1 / SURGE_S)
-    a = dense(surge.transition(place(WGS84, LATITUDE), params, 1.0), 10)
+    a = dense(surge.transition(place(WGS84, LATITUDE), 1 / SURGE_S, 1.0), 10)
     dt, rms = 0.05, 0.3
     whole = processes.bounded_velocity_process(np.full(3, rms), SURGE_S, 1e3, 1e-3)
     stationary = whole.begin @ whole.begin.T
