@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.in_engine import (
-    navigation,
-    place,
-)
+from oracles.in_engine import dense, navigation, place
 from oracles.naive import DEG, WGS84, exp, updates
 
-from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import passes, zero_velocity
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Vec3
@@ -75,10 +71,3 @@ def test_backward_error_model_is_reversed_forward_model(with_biases, v, phi, lat
     t = np.diag(reversal)
     np.testing.assert_allclose(backward, -t @ forward @ t, rtol=1e-13, atol=1e-25)
     assert np.array_equal(t @ t, np.eye(len(reversal)))
-
-
-def dense(entries, n):
-    matrix = np.zeros((n, n))
-    for place_, value in entries_as_numbers(entries).items():
-        matrix[place_] = value
-    return matrix

@@ -1,6 +1,6 @@
 """The naive module's descriptions as inputs of the engine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from oracles.naive import DEG, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
-from sinsjax.maths.algebra import triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods import compass
 from sinsjax.methods.compass_design import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
@@ -209,38 +209,18 @@ def covariances(triangle: Sequence[Any]) -> np.ndarray:
     return np.moveaxis(np.array(triangle)[order], (0, 1), (-2, -1))
 
 
+def dense(entries, n):
+    """The matrix (n, n) of entries by place."""
+    matrix = np.zeros((n, n))
+    for at, value in entries_as_numbers(entries).items():
+        matrix[at] = value
+    return matrix
+
+
 def step_and_close(method, params, site, state, sample, n):
     """A sample of a run taken alone."""
     state = method.step(params, site, state, sample, n)
     return method.feedback.close(params, state, n) if method.feedback else state
-
-
-@cache
-def runner(
-    name: str, force: str = "measured", position: str = "fixed", rate: int = 100
-) -> Callable:
-    """A compiled run: (numbers, site, navigation, increments) -> after every sample.
-
-    Returns:
-        The state, the attitude with all that is estimated taken out, and its covariance; the
-        attitude is scaled to unit length every second, as the engine does at every record.
-    """
-    method = METHODS[name].build(Options(1 / rate, force, position, innovations=True))
-
-    @jax.jit
-    def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:
-        samples = sensors.compensate_record(increments, increments[0])
-        counts = 1.0 + jnp.arange(float(len(increments)))
-
-        def step(state: Any, xs: Any) -> Any:
-            state = step_and_close(method, filt, here, state, *xs)
-            due = xs[1] % rate == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, *_shown(method, state))
-
-        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
-
-    return run
 
 
 @cache
