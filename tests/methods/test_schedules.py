@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sinsjax.methods.schedules import (
     CovarianceReset,
     FeedbackSchedule,
-    Windows,
+    Resets,
     next_feedback,
     reset_due,
 )
@@ -35,7 +35,7 @@ def test_feedback_keeps_its_interval_between_samples():
 @jax.jit
 def shares(times, width):
     """Shares of a reset at samples 1 to 1000."""
-    windows = Windows(times, width, FULL)
+    windows = Resets(times, FULL, width)
     return jax.vmap(lambda n: reset_due(windows, n))(1.0 + jnp.arange(1000.0))
 
 
