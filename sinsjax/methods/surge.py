@@ -13,7 +13,7 @@ small R, the heading comes within a few percent of the information bound (`bound
 and P is true.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.methods import sincos
@@ -43,18 +43,11 @@ _FROM_MEASURED: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
 """From dV to the measured V, and back."""
 
 
-class SurgeParams(NamedTuple):
-    """`FilterParams.extra`, which is `FilterState.extra` too.
-
-    Attributes:
-        rate: 1/T of the surge, 1/s.
-    """
-
-    rate: Scalar
-
-
 def build_filter(options: Options) -> Filter:
-    """Return the filter; `Options.specific_force` is always that of a base at rest."""
+    """Return the filter; its extra params and state are 1/T of the surge, 1/s.
+
+    `Options.specific_force` is always that of a base at rest.
+    """
     dt = options.dt
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
@@ -67,10 +60,10 @@ def build_filter(options: Options) -> Filter:
     )
 
 
-def transition(place: Place, surge: SurgeParams, dt: Scalar) -> Entries:
+def transition(place: Place, rate: Scalar, dt: Scalar) -> Entries:
     """Return the non-zero entries of A dt with the states of the surge, see the module."""
-    damping = surge.rate * dt
-    restoring = surge.rate * damping
+    damping = rate * dt
+    restoring = rate * damping
     return {
         **sincos.transition(place, dt),
         (PLACE_E, SURGE_E): dt,
@@ -109,7 +102,7 @@ def params(keys: StudyKeys, xp: Any) -> FilterParams:
         p0=(*own.p0, *p0),
         q=(*own.q, *(0.0 * q,) * 2, *(q,) * 2),
         reset_to=(*own.reset_to, *p0),
-        extra=SurgeParams(1 / time),
+        extra=1 / time,
     )
 
 

@@ -29,7 +29,6 @@ from oracles.naive_triggers import Numbers, Watcher
 from sinsjax.methods.filters.triggers import TRIGGERS, TriggerParams
 from sinsjax.methods.method import Options
 from sinsjax.methods.registry import METHODS
-from sinsjax.methods.surge import SurgeParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -70,11 +69,9 @@ CASES = {
     "kalman5": Case(FIVE, paper_filter(5), (5.0, 5.0, 30.0), 1e-9, 1e-9),
     "kalman10": Case(TEN, paper_filter(10, position="integrated"), (5.0, 5.0, 30.0), 1e-9, 1e-9),
     "kalman_sincos": Case(SINCOS, Filter(SIX, Q6, STRONG), LARGE, 1e-8, 1e-6),
-    "kalman_surge": Case(
-        surging(SURGE_S), SURGING, LARGE, 1e-7, 1e-5, SurgeParams(np.float64(1 / SURGE_S))
-    ),
-    "ekf_azimuth": Case(EXTENDED, *AZIMUTH, np.float64(0.5)),
-    "unscented": Case(UNSCENTED, *AZIMUTH, np.float64(0.5)),
+    "kalman_surge": Case(surging(SURGE_S), SURGING, LARGE, 1e-7, 1e-5, np.float64(1 / SURGE_S)),
+    "ekf_azimuth": Case(EXTENDED, *AZIMUTH),
+    "unscented": Case(UNSCENTED, *AZIMUTH),
     "invariant": Case(INVARIANT, *AZIMUTH),
 }
 QUIET = Numbers(np.inf)

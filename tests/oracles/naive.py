@@ -148,12 +148,8 @@ def error_matrix_10(velocity, f, planet, latitude, c):
     return a
 
 
-STATES = ("dve", "dvn", "phi_e", "phi_n", "phi_u", "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
-"""The order of states here; a filter of five has the first five."""
-
-
 class Filter(NamedTuple):
-    """Numbers and choices of a closed loop; p0 and q in the order of `STATES`."""
+    """Numbers and choices of a closed loop; p0 and q in the order of its states."""
 
     p0: np.ndarray
     q: np.ndarray

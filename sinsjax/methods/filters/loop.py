@@ -68,7 +68,7 @@ class FilterParams(NamedTuple):
     q: tuple[Scalar, ...]
     r: Scalar
     feedback: schedules.FeedbackSchedule
-    resets: schedules.Resets | schedules.Windows
+    resets: schedules.Resets
     reset_to: tuple[Scalar, ...]
     reversal: schedules.CovarianceReset
     trigger: Any = None
@@ -286,7 +286,7 @@ class _ClosedLoop(NamedTuple):
         )
         if self.trigger is not None:
             closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
-        if isinstance(params.resets, schedules.Windows):
+        if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
         return select_tree(feeds_back | resets, closed, state)
@@ -314,7 +314,7 @@ class _ClosedLoop(NamedTuple):
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
-    if isinstance(params.resets, schedules.Windows):
+    if params.resets.width is not None:
         return None  # a share of a reset is due at every sample
     return schedules.next_due(state.feedback_at, params.resets, n)
 
