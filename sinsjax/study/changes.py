@@ -8,7 +8,7 @@ drawn key.
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from functools import cached_property
+from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
@@ -22,19 +22,15 @@ _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 class SetOptions(dict[str, Any]):
-    """The values of ``--set`` by place, whose user is told once what else they drop."""
+    """The values of ``--set`` by place, whose user is told what else they drop."""
 
-    @cached_property
-    def _told(self) -> set[str]:
-        return set()
 
-    def tell(self, line: str) -> None:
-        """Print a warning, unless the user has read it: a command may read its study twice."""
-        from sinsjax.console import print_warning
+@cache
+def _tell(line: str) -> None:
+    """Print a warning once: a command may read its study twice."""
+    from sinsjax.console import print_warning
 
-        if line not in self._told:
-            print_warning(line)
-        self._told.add(line)
+    print_warning(line)
 
 
 def parse_changes(texts: Iterable[str]) -> SetOptions:
@@ -63,9 +59,7 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
     return changes
 
 
-def apply_changes(
-    tables: Mapping[str, Any], changes: Mapping[str, Any], source: str = ""
-) -> TomlTable:
+def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
     The user of `SetOptions` is told the alternatives to a key that it replaces.
@@ -75,22 +69,18 @@ def apply_changes(
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
             deeper, such as ``tune.variables.p0_yaw_deg.low``; or all cases by ``cases``. An empty
             table drops the section, key, axis or table of that name.
-        source: name of the study in messages.
 
     Raises:
         InputError: a place does not name a section and a key, there is nothing to drop, two changes
             are alternatives, or a value is nested too deeply.
     """
+    result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
-    try:
-        result: TomlTable = copy_tables(tables)
-        for place, value in changes.items():
-            dropped = _change(result, place, value, places)
-            if dropped and isinstance(changes, SetOptions):
-                changes.tell(f"--set {place} replaces {', '.join(dropped)}.")
-        return copy_tables(result)  # or it is nested too deeply by now
-    except InputError as error:
-        raise (error.with_source(source) if source else error) from None
+    for place, value in changes.items():
+        dropped = _change(result, place, copy_tables(value), places)
+        if dropped and isinstance(changes, SetOptions):
+            _tell(f"--set {place} replaces {', '.join(dropped)}.")
+    return result
 
 
 def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:

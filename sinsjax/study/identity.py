@@ -9,8 +9,7 @@ from sinsjax.messages import shorten
 from sinsjax.study.attitude_file import digest
 from sinsjax.study.study import Study
 
-_UNREAD = {"name", "unchecked"}
-NOT_COMPUTED: Any = {"tune": True, "study": _UNREAD}
+NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
 """Keys without effect on the rows of a sweep."""
 
 
@@ -70,12 +69,13 @@ def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     zips, cases = _as_table(tables.pop("zips", None)), tables.pop("cases", ())
     tables |= {f"axes.{name}": keys for name, keys in zips.items()}
     tables |= {f"cases {i}": case for i, case in enumerate(cases)}
-    tables["study"] = {k: v for k, v in _as_table(tables.get("study")).items() if k not in _UNREAD}
+    ignored = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
     return {
-        f"[{name}] {key}": value
+        place: value
         for name, table in tables.items()
         if name != "tune"
         for key, value in _as_table(table).items()
+        if (place := f"[{name}] {key}") not in ignored
     }
 
 

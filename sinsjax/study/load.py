@@ -68,16 +68,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    name, data = files.source_name(source), files.read_tables(source)
-    try:
-        study = _checked_study(apply_changes(data, changes) if changes else data, name, source)
-    except InputError as error:
-        lines = error.with_source(name).lines
-        if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
-            hint = f"`sinsjax advise {source} --study FILE` writes a study of a data sheet"
-            lines = (*lines, f"{name}: has no [alignment] ({hint})")
-        raise InputError(*lines) from None
-    return study
+    return _build(files.read_tables(source), files.source_name(source), changes or {}, source)
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -105,13 +96,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           method  kalman5
           length  60 s at 100 Hz
     """
-    try:
-        return _checked_study(data, source)
-    except InputError as error:
-        raise error.with_source(source) from None
-
-
-Study.from_tables = staticmethod(study_from_dict)
+    return _build(data, source, {})
 
 
 def study_to_toml(study: Study) -> str:
@@ -143,13 +128,26 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     return study if study.study.rate_hz else study.replace({"study.rate_hz": rate_hz})
 
 
-def _checked_study(data: TomlTable, source: str, path: str | Path | None = None) -> Study:
-    """Return the study of some tables, whose file has the evidence of open questions."""
-    reject_open_questions(data, path)
-    study = _read_study(data, escape_controls(Path(source).stem))
-    if study.tune and study.study.rate_hz:
-        _check_tuning_points(study)
-    return study
+def _build(
+    data: TomlTable, source: str, changes: Mapping[str, Any], path: str | Path | None = None
+) -> Study:
+    """Return the study of some tables with changes, whose file shows why a question is open."""
+    try:
+        tables = apply_changes(data, changes) if changes else data
+        reject_open_questions(tables, path)
+        study = _read_study(tables, escape_controls(Path(source).stem))
+        if study.tune and study.study.rate_hz:
+            _check_tuning_points(study)
+        return study
+    except InputError as error:
+        lines = error.with_source(source).lines
+        if path and "sensors" in data and data.keys() <= {*SHEET_TABLES}:
+            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
+            lines = (*lines, f"{source}: has no [alignment] ({hint})")
+        raise InputError(*lines) from None
+
+
+Study.from_tables = staticmethod(_build)
 
 
 def _read_study(data: TomlTable, name: str) -> Study:

@@ -19,7 +19,7 @@ from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study import display
 from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.study.changes import apply_changes, copy_tables
+from sinsjax.study.changes import copy_tables
 from sinsjax.study.defaults import without_defaults
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -119,8 +119,8 @@ class Study(_SectionsOfMethods):
     stop_when: StopWhenSection | None = None
     tune: TuneSection | None = None
 
-    from_tables: ClassVar[Callable[[TomlTable, str], "Study"]]
-    """`load.study_from_dict`, which sets it."""
+    from_tables: ClassVar[Callable[[TomlTable, str, Mapping[str, Any]], "Study"]]
+    """Function of tables, a name and changes, which `load` sets."""
 
     def replace(self, changes: Mapping[str, Any]) -> "Study":
         """Return the study with some values changed, and new defaults where they depend on these.
@@ -138,8 +138,7 @@ class Study(_SectionsOfMethods):
             >>> study.n_variants, study.replace({"alignment.phi_u0_deg": 12.0}).n_variants
             (448, 56)
         """
-        changed = apply_changes(self.to_dict(), changes, self.name)
-        return type(self).from_tables(changed, self.name)
+        return type(self).from_tables(self.to_dict(), self.name, changes)
 
     def to_dict(self) -> TomlTable:
         """Return the study as nested tables, as in its TOML file, without keys at their defaults.

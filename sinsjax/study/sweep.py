@@ -198,12 +198,7 @@ def _check(
 ) -> Any:
     """Return a value as a function of pydantic returns it; an error names its place in a table.
 
-    Args:
-        validate: the function.
-        value: value of a key.
-        place: table in brackets, and key.
-        name: ``section.key``, some values of which may be gone.
-        fields: keys of the table that the value must be, if any.
+    It is a value of the key ``section.key``, which is its name, or a table with some fields.
     """
 
     def line(detail: ErrorDetails) -> str:
