@@ -365,7 +365,7 @@ def _truth_parquet(plan: Export) -> bytes:
     for number in range(runs.environments.max() + 1):
         part = runs.part_of(number)
         truth = given.true_attitudes_at_records(runs.batch(part, plan.draws))
-        time_s = runs.study.update_times(runs.study.spans[part.ids[0]])
+        time_s = runs.study.update_times(runs.study.lengths.to_list()[part.ids[0]])
         for place, draw in enumerate(plan.draws):
             attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
             pitch, roll, yaw = to_angles(attitude, plan.frame).T / DEG

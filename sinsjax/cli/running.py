@@ -113,18 +113,19 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
-    from sinsjax.study.load import load_with_notes
+    from sinsjax.study.load import load_study
+    from sinsjax.study.unused_keys import list_idle_keys
     from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes or ())
-    study, notes = load_with_notes(config, overrides)
+    study = load_study(config, overrides)
     if study.tune:
         summary = f"tunes {', '.join(study.tune.variables)}"
     else:
         draws = "start times" if study.is_recorded else "draws"
         summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{source_name(config)}: valid; {summary}.", *notes]
+    lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
     if study.tune:

@@ -52,7 +52,7 @@ from sinsjax.study.schema import (
     SensorsSection,
     keys_acting_as,
 )
-from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
+from sinsjax.study.study import Span, Study
 from sinsjax.study.success import settling_bands
 from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import turns_in_samples
@@ -217,7 +217,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
     reverses = study.passes is not None and not span.rewinds
-    keeps = simulated and reverses and keys.is_active(*SEQUENTIAL_KEYS)
+    keeps = simulated and reverses and keys.is_active(*keys_acting_as("process", "quantum"))
     return ProgramSpec(
         method,
         Options(

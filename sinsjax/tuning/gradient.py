@@ -470,8 +470,7 @@ class _TunedKeys:
         self, function: Callable[..., Any], keys: tuple[str, ...], to_arrays: Callable
     ) -> Array:
         """Return a function of keys once per combination, expanded over the variants."""
-        used, codes = np.unique(self._keys.coded(*keys).codes, return_inverse=True)
-        choices = [self._keys.coded(*keys).choices[code] for code in used]
+        codes, choices = self._keys.coded(*keys)
         rows = [values if len(keys) > 1 else (values,) for values in choices]
         found = [
             function(*(self._tuned.get(key, value) for key, value in zip(keys, row, strict=True)))

@@ -258,7 +258,7 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
     def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sinsjax.execution.prepare.load_with_notes", interrupted)
+    monkeypatch.setattr("sinsjax.execution.prepare.load_study", interrupted)
     told = "interrupted: stored results are kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", tmp_path / "out") == (130, told)
 

@@ -103,7 +103,7 @@ def test_stored_times_and_pass_numbers_follow_passes(
 ) -> None:
     """Times by hand; the engine gets the same times from the truth, see below."""
     study = study_from_dict(merged({"passes": passes}, QUICK))
-    (span,) = set(study.spans)
+    (span,) = set(study.lengths.to_list())
     updates = list(range(1, len(stored_times_of) + 1))
     assert study.update_times(span).tolist() == updates
     assert study.stored_times(span).tolist() == stored_times_of

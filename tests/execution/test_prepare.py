@@ -33,8 +33,6 @@ ONCE = (
     "resume.check_available",
     "directory.check_unlocked",
     "directory.lock_directory",
-    "load.load_with_notes",
-    "load.load_study",  # of the results, by the report
 )
 
 
@@ -86,6 +84,7 @@ def test_sweep_runs_every_check_once(run_command: Command, tmp_path: Path) -> No
     calls = count_calls(lambda: run_command("sweep", config, "-o", out))
     expected = dict.fromkeys(ONCE, 1)
     assert {name: calls[name] for name in ONCE} == expected
+    assert calls["load.load_study"] == 2  # its file, and that of the results for the report
     calls = count_calls(lambda: run_command("sweep", config, "-o", out, "--resume"))
     assert {name: calls[name] for name in ONCE} == expected
 

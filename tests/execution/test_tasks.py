@@ -96,10 +96,11 @@ def test_additional_draws_leave_earlier_rows_unchanged(
 def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
     study = make_study(name)
     runs = np.arange(study.n_draws * study.n_variants)
+    lengths = study.lengths.to_list()
     np.testing.assert_array_equal(reference.summary["run_id"], runs)
     np.testing.assert_array_equal(reference.summary["draw_id"], runs // study.n_variants)
     np.testing.assert_array_equal(reference.summary["variant_id"], runs % study.n_variants)
-    records = [study.spans[run % study.n_variants].records for run in runs]
+    records = [lengths[run % study.n_variants].records for run in runs]
     np.testing.assert_array_equal(reference.curves["run_id"], np.repeat(runs, records))
 
 

@@ -27,8 +27,8 @@ from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
 from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_with_notes
 from sinsjax.study.study import Study
+from sinsjax.study.unused_keys import list_idle_keys
 from sinsjax.units import split_unit
 
 ROOT = Path(__file__).parents[2]
@@ -215,7 +215,8 @@ def load(tmp_path):
 
     def changed(tables: dict[str, Any], changes: dict[str, Any] | None = None) -> Any:
         (tmp_path / "study.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
-        return load_with_notes(tmp_path / "study.toml", changes or {})
+        study = load_study(tmp_path / "study.toml", changes)
+        return study, list_idle_keys(study)
 
     return changed
 

@@ -176,11 +176,6 @@ def test_values_are_those_of_each_variant():
     for key in ("start_s", "seed", "nonsense"):
         with pytest.raises(KeyError):
             study.values(key)
-    # A required key may be swept alone.
-    data = {"study": SIMULATED["study"], "motion": SIMULATED["motion"]}
-    study = build_study(data, axes={"latitude_deg": [0, 80]})
-    assert study.values("latitude_deg") == [0.0, 80.0]
-    assert study_from_dict(study.to_dict()).axes == study.axes
 
 
 # Files
