@@ -55,8 +55,6 @@ class KeyInfo(NamedTuple):
         in_simulation: value of an omitted key in a simulation; a record determines its own.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
-        merged: whether a search merges times of a list that round to the same sample; otherwise it
-            separates them by one sample.
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
@@ -73,7 +71,6 @@ class KeyInfo(NamedTuple):
     otherwise: str | float | None = None
     in_simulation: float | None = None
     whole: str | None = None
-    merged: bool = False
     time: str | None = None
     alternative_to: str | None = None
     acts_as: Effect | None = None

@@ -75,8 +75,10 @@ class Manifest(BaseModel):
     warnings: list[str] = []
     record_latitude_deg: float | None = None
     study: dict[str, Any] = {}
-    draws: int | None = Field(None, validation_alias=AliasPath("study", "study", "draws"))
-    external: tuple[str, ...] = Field((), validation_alias=AliasPath("study", "study", "external"))
+    draws: int | None = Field(default=None, validation_alias=AliasPath("study", "study", "draws"))
+    external: tuple[str, ...] = Field(
+        default=(), validation_alias=AliasPath("study", "study", "external")
+    )
 
     @classmethod
     def read(cls, directory: Path) -> "Manifest":

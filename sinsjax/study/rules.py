@@ -9,7 +9,7 @@ outside is most likely a mistake or in another unit. ``[study] unchecked = true`
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -51,8 +51,6 @@ from sinsjax.value_types import ROUNDING, KeyInfo
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _CHECKED_DRAWS = 2**19  # which bounds the memory
 _MAX_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
-
-ACCEPT_HINT = "[study] unchecked = true accepts it"
 
 
 def check_rules(study: Study) -> None:
@@ -284,13 +282,8 @@ def _check_report_times(study: Study) -> None:
                 study.refuse("report_times_s", f"{text} {count / rate:.12g} s")
 
 
-def _check_success_criteria(study: Study) -> None:
-    """Refuse a success that no run can reach, and bands whose columns would share a name."""
-    names = [columns.settle_column(band).name for band in success.settling_bands(study)]
-    if len(set(names)) < len(names):
-        key = "success_band_arcmin" if study.gives("success_band_arcmin") else "settle_bands_arcmin"
-        text = "two bands agree to the 6 digits of their column names (drop one)"
-        study.refuse(key, text)
+def _check_dwell(study: Study) -> None:
+    """Refuse a success that no run can reach."""
     dwell = study.study.dwell_s
     if dwell is not None and dwell >= study.run_s:
         study.refuse("dwell_s", f"{dwell:.12g} s is not shorter than the run ({study.end})")
@@ -348,8 +341,8 @@ def _check_plausible_values(study: Study) -> None:
         return
     errors = ErrorCollector()
     for (name, key), entry in KEYS.items():
-        value = getattr(getattr(study, name, None), key, None) if entry.info.usual_range else None
-        if value is not None and (text := _describe_unusual(entry.info, value)):
+        value = getattr(getattr(study, name, None), key, None)
+        if text := _describe_unusual(entry.info, value):
             errors.add(f"[{name}] {key}{text}")
     for key, values in study.values_varied.items():
         for value in dict.fromkeys(values) if key != "case" else ():
@@ -360,21 +353,15 @@ def _check_plausible_values(study: Study) -> None:
 
 def _describe_unusual(info: KeyInfo, value: Any) -> str | None:
     """Return the index of an unusual number in a value, if a list, and the question about it."""
-    low, high = info.usual_range or (-math.inf, math.inf)
-    for index, number in _iter_numbers(value):
+    if info.usual_range is None or value is None:
+        return None
+    low, high = info.usual_range
+    for place, number in np.ndenumerate(np.asarray(value, float)):
         if not low <= number <= high:
+            index = "".join(f"[{i}]" for i in place)
             text = f"{number:.12g} is outside the usual range of {low:g} to {high:g}"
-            return f"{index}: {text} ({ACCEPT_HINT})"
+            return f"{index}: {text} ([study] unchecked = true accepts it)"
     return None
-
-
-def _iter_numbers(value: Any, index: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a value, each after its index in lists."""
-    if isinstance(value, tuple):
-        for i, entry in enumerate(value):
-            yield from _iter_numbers(entry, f"{index}[{i}]")
-    elif isinstance(value, int | float):
-        yield index, float(value)
 
 
 def _check_drawn_values(study: Study) -> None:
@@ -458,7 +445,7 @@ _TIMES = (
     _check_reset_law,
     _check_statistics_window,
     _check_report_times,
-    _check_success_criteria,
+    _check_dwell,
     _check_stop_when,
     _check_rules_of_methods,
     _check_times_within_runs,

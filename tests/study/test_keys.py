@@ -21,11 +21,11 @@ from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
 import sinsjax
+from docs.studies import keys_page
 from sinsjax import InputError, StudyWarning, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study import keys as study_keys
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.study import Study
 from sinsjax.study.unused_keys import list_idle_keys
@@ -56,7 +56,7 @@ def words_of(section: str, key: str) -> list[str]:
 
 def test_page_of_keys_and_schema_for_editors_have_every_key():
     page = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
-    assert page == study_keys.keys_page() and study_keys.study_schema() == SCHEMA
+    assert page == keys_page.keys_page() and keys_page.study_schema() == SCHEMA
     assert all(f"`{key}`" in page for _, key in KEYS)
     assert len(SECTION_OF) == sum(section != "record" for section, _ in KEYS)  # else no axis
 

@@ -308,7 +308,7 @@ class ResetsSection(Section):
         "time of the first of reset_count resets", otherwise="the cycle"
     )
     reset_times_s: vt.Times | None = field(
-        "times of scheduled resets; alternative to reset_count", whole="sample", merged=True
+        "times of scheduled resets; alternative to reset_count", whole="sample"
     )
     reset_at_feedback: bool = field("whether a reset waits for the next feedback", False)
     reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
