@@ -244,19 +244,6 @@ def timed_csv(folder: Path, time_s: np.ndarray) -> Path:
     return path
 
 
-@quick
-@given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
-def test_samples_are_numbered_by_their_stamps_or_refused(folder, steps):
-    step_s = np.array([0.01] * 300 + steps + [0.01] * 20)
-    path = timed_csv(folder, np.cumsum([1.0, *step_s]))
-    try:
-        record = records.read_csv(path, ANY_RATE)
-    except InputError as error:
-        assert "short step" in str(error) and min(steps) < 0.0095
-    else:
-        assert abs(len(record.dv) - 1 - 100 * step_s.sum()) <= (1 + len(steps)) / 2
-
-
 @pytest.mark.parametrize(
     ("late", "rows"),
     [([0.004], 0), ([0.007, 0.004], 1), ([0.012, 0.006], 2), ([0.0, 0.007] * 100, 100)],
@@ -358,22 +345,16 @@ def test_dates_give_rate_and_start(tmp_path):
 # --- long records
 
 
-@pytest.mark.parametrize("kind", ["csv", "iso"])
-def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
+def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch):
     random, path = np.random.default_rng(3), tmp_path / "long"
-    record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
-    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
-    records.write_csv(record, path, layout)
-    head, *rows = path.read_text().splitlines()
-    if kind == "iso":  # milliseconds, of which 999 fit behind a point
-        cells = [row.partition(",") for row in rows]
-        rows = [f"2024-05-01T00:00:{float(time):06.3f},{rest}" for time, _, rest in cells]
-        layout = layout._replace(time_unit="iso")
+    rows = [",".join(map(repr, row)) for row in random.normal(size=(999, 6)).tolist()]
+    rows = [f"2024-05-01T00:00:{k / 100:06.3f},{row}" for k, row in enumerate(rows)]
     del rows[500:503]
     rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
-    rows.insert(50, "# a comment")
-    rows.insert(300, "")
-    path.write_text("\r\n".join([head, *rows]))
+    path.write_text(
+        "\r\n".join([HEAD.strip(), *rows[:50], "# a comment", *rows[50:300], "", *rows[300:]])
+    )
+    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz", time_unit="iso")
     whole = records.read_record(path, layout)
     monkeypatch.setattr(reader, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
