@@ -177,8 +177,6 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
         parse_axes_order(layout.axes_order)
     except ValueError as error:
         yield "axes_order", str(error)
-    if len(layout.mounting_deg) != 3 or not all(map(math.isfinite, layout.mounting_deg)):
-        yield "mounting_deg", "must have a finite pitch, roll and yaw"
     if layout.format == "psins":
         return
     for key, units in (
@@ -189,8 +187,6 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
     ):
         if getattr(layout, key) not in units:
             yield key, f"{getattr(layout, key)!r} is not one of {', '.join(units)}"
-    if layout.time_fraction_column and not layout.time_column:
-        yield "time_fraction_column", "requires a time_column"
     key_by_column: dict[str, str] = {}
     for key in ("time_column", "time_fraction_column", "gyro_columns", "accel_columns"):
         names = getattr(layout, key)
@@ -212,8 +208,6 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
             if factor > 0 and re.search(r"(^|[_.\s])(neg(ative)?|minus)([_.\s]|$)", name, re.I):
                 text = f"column {name!r} has a minus in its name: give it a negative {key}_scale"
                 yield f"{key}_columns", f"{text} (or name the column otherwise)"
-    if not 0 <= layout.max_gap_s < math.inf:
-        yield "max_gap_s", f"must not be negative, not {layout.max_gap_s!r}"
     if not layout.time_column and layout.rate_hz is None:
         yield "rate_hz", "required without a time_column"
 

@@ -262,7 +262,10 @@ def _axes_order(table: Table, gyro: Triad, accel: Triad, up: FloatArray, proposa
         orders = ["flu" if up[2] > 0 else "frd"]
         reason = f"{pointing}; x is taken for the front, so the heading is that of x"
     else:
-        orders = _orders_with_up(axis, is_positive=bool(up[axis] > 0))
+        a, b, c = "xyzxy"[axis + 1], "xyzxy"[axis + 2], "xyz"[axis]
+        orders = [f"{a}{b}{c}", f"{b}-{a}{c}", f"-{a}-{b}{c}", f"-{b}{a}{c}"]
+        if up[axis] < 0:
+            orders = [f"{b}{a}-{c}", f"-{a}{b}-{c}", f"-{b}-{a}-{c}", f"{a}-{b}-{c}"]
         lines = " or ".join(f'axes_order = "{order}"' for order in orders)
         question = f"{pointing}, and no name states which axis points front: {lines}"
         if not abs(up[axis]) >= math.cos(30 * DEG):
@@ -271,15 +274,6 @@ def _axes_order(table: Table, gyro: Triad, accel: Triad, up: FloatArray, proposa
     if question:
         proposal.questions["axes_order"] = question
     return orders[0]
-
-
-def _orders_with_up(axis: int, *, is_positive: bool) -> list[str]:
-    """Return the four right-handed orders of axes with an axis, or its opposite, up."""
-    a, b, up = "xyz"[(axis + 1) % 3], "xyz"[(axis + 2) % 3], "xyz"[axis]
-    pairs = [(a, b), (b, f"-{a}"), (f"-{a}", f"-{b}"), (f"-{b}", a)]  # right and front
-    if is_positive:
-        return [f"{right}{front}{up}" for right, front in pairs]
-    return [f"{right}{front}-{up}" for front, right in pairs]
 
 
 # Time
@@ -305,8 +299,7 @@ def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[s
         and (kind == "date" or kind == "number" and _TIME_NAME.search(name))
     ]  # fmt: skip
     dates = [name for name in names if kinds[name] == "date"]
-    read = table.read(names, blanks=True, dates=dates) if names else []
-    pairs = zip(names, read, strict=True)
+    pairs = zip(names, table.read(names, blanks=True, dates=dates), strict=True)
     columns = {name: stamps for name, stamps in pairs if np.isfinite(stamps).sum() > 1}
     units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in columns}
     fractions = {
@@ -362,7 +355,7 @@ def _unit_by_steps(name: str, named: str, stamps: FloatArray) -> tuple[str, str]
     """Return the unit of stamps (T,), the named one or what their steps can be; and a question."""
     steps = np.diff(stamps[np.isfinite(stamps)])
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
+    rates = {unit: 1 / max(step * TIME_UNITS[unit], 1e-300) for unit in ("s", "ms", "us", "ns")}
     possible = [unit for unit in rates if _POSSIBLE_HZ[0] <= rates[unit] <= _POSSIBLE_HZ[1]]
     unit = named or (possible or ["s"])[0]
     if unit in possible and (named or len(possible) == 1):

@@ -87,12 +87,14 @@ def _parse_header(path: str | Path, lines: list[Line]) -> _Header:
     values = []
     for row, text in lines:
         words = text.split()
-        if len(words) != 6:
+        if (
+            len(words) != 6
+            or not all(map(is_number, words))
+            or any("inf" in w.lower() for w in words)
+        ):
             hint = "(not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
-            problem = f"a header line must have 6 values, not {len(words)} {hint}"
+            problem = f"a header line must have 6 numbers: {shorten(text, 60)!r} {hint}"
             raise InputError(f"{path}: row {row}: {problem}")
-        if wrong := [w for w in words if not is_number(w) or math.isinf(float(w))]:
-            raise InputError(f"{path}: row {row}: header: {shorten(wrong[0], 24)!r} is no number")
         values.append([*map(float, words)])
     if len(values) < 3:
         raise InputError(f"{path}: the header must have 3 lines, not {len(values)}")

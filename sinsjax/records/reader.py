@@ -83,8 +83,8 @@ class Table(NamedTuple):
                 shown = shorten(", ".join(map(repr, self.names)), 300)
                 hint = suggest_closest(name, self.names) or f"; the file has {shown}"
                 raise InputError(f"{self.source}: no column {name!r}{hint}")
-        columns = self.load([self.names.index(name) for name in wanted])
-        if not len(columns[0]):
+        columns = self.load([self.names.index(name) for name in wanted]) if wanted else []
+        if columns and not len(columns[0]):
             raise InputError(f"{self.source}: no samples after the header")
         pairs = zip(wanted, columns, strict=True)
         return [self._to_numbers(n, c, is_date=n in dates, blanks=blanks) for n, c in pairs]

@@ -104,16 +104,16 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     late, early = float(first - begin), float(end - last)
     if max(late, early) > slack:
         clock = stored.record.t0_s
-        lack, remedy = f"ends {early:.3g} s too early", "a shorter [study] duration_s would do"
-        if late >= early:
-            lack, remedy = f"begins {late:.3g} s too late", "a later [record] start_s would do"
+        remedy = "give a later [record] start_s"
+        if early > late:
+            remedy = "give a shorter [study] duration_s"
         if max(late, early) > end - begin:
             remedy = "do their clocks differ?"
         raise InputError(
             f"{reference.source}: covers {format_seconds(clock + first)} to"
             f" {format_seconds(clock + last)} s, but the study needs"
             f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
-            f" clock of {stored.record.source}: it {lack} ({remedy})"
+            f" clock of {stored.record.source} ({remedy})"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1

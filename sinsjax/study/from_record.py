@@ -167,26 +167,21 @@ def make_study_text(
 def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     """Return valid answers about a record by key; refuses others."""
     known = [f"record.{key}" for key in RecordLayout._fields if key not in ("format", "rate_hz")]
-    fields: dict[str, Any] = {}
-    for place in answers:
+    checked: dict[str, Any] = {}
+    for place, value in answers.items():
         if place not in (*known, *_OTHER_ANSWERS):
             text = "not examined by `init record --from` (give it to `sinsjax align`)"
             raise InputError(f"--set {place}: {text}{suggest_closest(place, known)}")
         section, _, key = place.partition(".")
-        field = SECTIONS[section].model_fields[key]
-        fields[key] = (field.annotation, field)
-    keys = {place.rpartition(".")[2]: place for place in answers}
-    model = create_model("Answers", __base__=Section, **fields)
-    lists = {k: tuple(v) if isinstance(v := answers[p], list) else v for k, p in keys.items()}
-    try:
-        content = model.model_validate(lists)
-    except ValidationError as error:
-        found = error.errors()[0]
-        place = keys.get(str(found["loc"][0]) if found["loc"] else "", "")
-        raise InputError(f"--set {place}: {explain_error(found)}") from None
-    checked = {key: getattr(content, key) for key in keys}
-    for key in {"gyro_scale", "accel_scale"} & checked.keys():
-        if not isinstance(checked[key], tuple):
+        field: Any = SECTIONS[section].model_fields[key]
+        definition: dict[str, Any] = {key: (field.annotation, field)}
+        model = create_model("Answer", __base__=Section, **definition)
+        try:
+            answer = model.model_validate({key: tuple(value) if isinstance(value, list) else value})
+        except ValidationError as error:
+            raise InputError(f"--set {place}: {explain_error(error.errors()[0])}") from None
+        checked[key] = getattr(answer, key)
+        if key in ("gyro_scale", "accel_scale") and not isinstance(checked[key], tuple):
             checked[key] = (checked[key],) * 3
     return checked
 

@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from support.refusals import assert_named, assert_refusal
-from support.studies import STILL, small_study
 
 import sinsjax
 from sinsjax.engine.scenario import start_samples
@@ -16,7 +15,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.records import ACCEL_UNITS, GYRO_UNITS
 from sinsjax.records.layout import from_body_axes
-from sinsjax.records.reference import Reference, StoredRecord
+from sinsjax.records.reference import Reference
 from sinsjax.study.load import study_from_dict
 
 RATE, T = 100.0, 3000
@@ -240,42 +239,6 @@ def test_subtracted_mean_of_whole_log_is_reported(unit):
     assert "mean of each gyro over the whole log" in job.warnings[-1]
     for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
-
-
-# Studies
-
-
-@pytest.fixture(scope="module")
-def drive_record() -> Any:
-    """Return the sensor output of a base at rest for a minute."""
-    sensors = {"gyro_bias_deg_per_h": 0.01, "accel_bias_ug": 50.0}
-    settings = {"duration_s": 60.0, "window_s": [30, 60]}
-    return sinsjax.simulated_record(small_study(study=settings, motion=STILL, sensors=sensors))
-
-
-@pytest.mark.nightly
-@pytest.mark.optimised(False)
-def test_study_runs_on_arrays(drive_record):
-    time = 100 + np.arange(1, len(drive_record.dv) + 1) / RATE
-    frd = (from_body_axes(v * RATE, "yx-z") for v in (drive_record.dtheta, drive_record.dv))
-    level = np.zeros(61)
-    angles = {"pitch_deg": level, "roll_deg": level, "yaw_deg": level + 10.0}
-    reference = {"time_s": np.arange(100.0, 161.0)} | angles
-    stored = sinsjax.record_from_arrays(time, *frd, axes="frd", reference=reference)
-    settings = study(start_s=[0.0, 10.0])
-    rows = sinsjax.run(settings, stored).summary.to_pylist()
-    assert [row["start_s"] for row in rows] == [0.0, 10.0]
-    plain = sinsjax.run(settings, StoredRecord(drive_record, None)).summary.to_pylist()
-    for row, other in zip(rows, plain, strict=True):
-        assert row["yaw_deg"] == pytest.approx(other["yaw_deg"], abs=1e-6)
-        assert row["phi_u_arcmin"] == pytest.approx(60 * (10 - row["yaw_deg"]), rel=0.01)
-        assert abs(row["pitch_deg"]) < 0.1
-
-
-def test_wrong_sign_or_unit_is_refused():
-    for change, named in (({"accel": -ACCEL}, "axes"), ({"time_unit": "ns"}, "time_unit")):
-        with pytest.raises(InputError, match=named):
-            sinsjax.run(study(), make_record(**change))
 
 
 def test_rounded_timestamps_keep_start_times():

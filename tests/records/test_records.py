@@ -1,8 +1,5 @@
 """Records: round trips of the three formats, stamps and gaps, and errors with file and row."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +14,6 @@ from support.refusals import assert_refusal
 from sinsjax import records
 from sinsjax.errors import InputError
 from sinsjax.records import Record, RecordLayout, reader
-
-DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-REAL = DATA / "lasergyro_0_900.imu"
-needs_data = pytest.mark.skipif(
-    not REAL.exists(), reason=f"{REAL.name} is absent (SINSJAX_DATA, ../shared/data)"
-)
 
 GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
 CSV = RecordLayout(
@@ -85,37 +76,32 @@ def write_record(record: Record, path: Path, layout: RecordLayout) -> None:
 # --- there and back
 
 
+UNITS = [
+    (gyro, accel)
+    for gyros, accels in zip(records.GYRO_UNITS.values(), records.ACCEL_UNITS.values(), strict=True)
+    for gyro, accel in zip(gyros, [*accels][-3:], strict=True)
+]
+
+
 @quick
 @given(
     record=some_records(),
     kind=st.sampled_from(["csv", "parquet"]),
     order=st.sampled_from(AXES),
+    units=st.just(("rad", "m_per_s")) | st.sampled_from(UNITS),
     timed=st.booleans(),
 )
-def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, timed):
+def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, units, timed):
     layout = CSV._replace(format=kind, axes_order=order, rate_hz=record.rate_hz)
+    layout = layout._replace(gyro_unit=units[0], accel_unit=units[1], gyro_scale=(1.0, -1.0, 0.25))
     layout = layout if timed else layout._replace(time_column="")
     write_record(record, folder / "record", layout)
     back = records.read_record(folder / "record", layout)
-    assert same_bits(back.dtheta, record.dtheta) and same_bits(back.dv, record.dv)
-    assert back.rate_hz == record.rate_hz and back.t0_s == pytest.approx(0.0, abs=1e-12)
-
-
-@quick
-@given(
-    record=some_records(),
-    gyro_unit=st.sampled_from([u for units in records.GYRO_UNITS.values() for u in units]),
-    accel_unit=st.sampled_from([u for units in records.ACCEL_UNITS.values() for u in units]),
-    scale=st.tuples(*[st.sampled_from([1.0, -1.0, 0.25])] * 3),
-)
-def test_every_unit_and_scale_survives_csv_round_trip(folder, record, gyro_unit, accel_unit, scale):
-    layout = NO_TIME._replace(
-        gyro_unit=gyro_unit, accel_unit=accel_unit, rate_hz=record.rate_hz, gyro_scale=scale
-    )
-    records.write_csv(record, folder / "units.csv", layout)
-    back = records.read_csv(folder / "units.csv", layout)
     np.testing.assert_allclose(back.dtheta, record.dtheta, rtol=1e-9, atol=1e-300)
     np.testing.assert_allclose(back.dv, record.dv, rtol=1e-9, atol=1e-300)
+    if units == ("rad", "m_per_s"):
+        assert same_bits(back.dtheta, record.dtheta) and same_bits(back.dv, record.dv)
+    assert back.rate_hz == record.rate_hz and back.t0_s == pytest.approx(0.0, abs=1e-12)
 
 
 @quick
@@ -134,14 +120,6 @@ def test_psins_cumulative_error_stays_within_half_count(folder, dtheta, dv, scal
         assert np.abs(np.cumsum(sums, axis=0)).max() <= 0.5 * quantum * (1 + 1e-9) + 1e-12
     others = {"dtheta": None, "dv": None, "source": "", "anomalies": ()}
     assert back._replace(**others) == record._replace(**others)
-
-
-def test_psins_round_trip_keeps_unknown_fields_none(tmp_path):
-    record = Record(np.zeros((3, 3)), np.full((3, 3), 0.098), 100.0)
-    records.write_psins(record, tmp_path / "a.imu")
-    back = records.read_psins(tmp_path / "a.imu")
-    assert (back.latitude_deg, back.height_m, back.attitude_deg) == (None, None, None)
-    assert back.gravity_m_per_s2 == 9.80665
 
 
 def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
@@ -167,21 +145,10 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
         (SAMPLE * 9, "row 2: 83"),
         (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
         (HEADER + "1 l 3 4 5 6\n", "row 5: column 'gyro y': 'l'"),
-        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
+        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 numbers"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
-        ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
-    ],
-)
-def test_invalid_psins_file_is_refused(tmp_path, text, told):
-    path = tmp_path / "bad.imu"
-    path.write_text(text)
-    assert_refusal(refusal_line(records.read_psins, path), f"{path}: {told}")
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
+        ("a b\n1 2\n", "row 1: 6 PSINS"),
         (HEAD, "no samples"),
         (ROWS.replace("gz", "gz_"), "column 'gz' gz_"),
         (ROWS.replace("gz", "gx"), "column 'gx' once"),
@@ -191,17 +158,17 @@ def test_invalid_psins_file_is_refused(tmp_path, text, told):
         (ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': range"),
         (ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
         (ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: 7 columns"),
-        (ROWS + '"0.05,1,2\n0.06,1,2,3,4,5,6"\n', "row 6: 7 columns"),
         (ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
         (ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
         (ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
         (ROWS.replace("0.0", "0."), "column 'time_s' 10 rate_hz 100"),
     ],
 )
-def test_invalid_csv_file_is_refused(tmp_path, text, told):
-    path = tmp_path / "bad.csv"
+def test_invalid_text_is_refused(tmp_path, text, told):
+    path = tmp_path / "bad"
     path.write_text(text, newline="")
-    assert_refusal(refusal_line(read_whole, path, CSV), f"{path}: {told}")
+    layout = CSV if text.startswith(HEAD[:5]) else records.PSINS_LAYOUT
+    assert_refusal(refusal_line(read_whole, path, layout), f"{path}: {told}")
 
 
 def test_invalid_parquet_file_is_refused(tmp_path):
@@ -277,26 +244,18 @@ def timed_csv(folder: Path, time_s: np.ndarray) -> Path:
     return path
 
 
-@quick
-@given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
-def test_samples_are_numbered_by_their_stamps_or_refused(folder, steps):
-    step_s = np.array([0.01] * 300 + steps + [0.01] * 20)
-    path = timed_csv(folder, np.cumsum([1.0, *step_s]))
-    try:
-        record = records.read_csv(path, ANY_RATE)
-    except InputError as error:
-        assert "short step" in str(error) and min(steps) < 0.0095
-    else:
-        assert abs(len(record.dv) - 1 - 100 * step_s.sum()) <= (1 + len(steps)) / 2
-
-
-@pytest.mark.parametrize("late", [[0.004], [0.007, 0.004], [0.012, 0.006]])
-def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late):
+@pytest.mark.parametrize(
+    ("late", "rows"),
+    [([0.004], 0), ([0.007, 0.004], 1), ([0.012, 0.006], 2), ([0.0, 0.007] * 100, 100)],
+)
+def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late, rows):
     time_s = np.arange(1, 401) / 100
     time_s[200 : 200 + len(late)] += late
     record = read_whole(timed_csv(tmp_path, time_s), CSV)
-    assert len(record.dtheta) == 400 and not record.flaws
-    assert record.rate_hz == 100.0 and len(record.remarks) == (max(late) > 0.005)
+    assert len(record.dtheta) == 400 and not record.flaws and record.rate_hz == 100.0
+    assert [text.split(" by ")[0] for text in record.remarks] == [f"{rows} stamps are late"] * bool(
+        rows
+    )
 
 
 def jittering_stamps() -> np.ndarray:
@@ -328,14 +287,6 @@ def test_missing_samples_among_jittering_stamps_are_found(tmp_path, missing):
     assert np.flatnonzero(np.isnan(record.dtheta[:, 0])).tolist() == missing
     if missing:
         assert f"row {missing[0] + 2}: a gap at 200" in record.flaws[0].text
-
-
-def test_stamps_of_which_every_second_one_is_late_are_read_and_reported(tmp_path):
-    time_s = np.arange(1, 401) / 50
-    time_s[1::2] += 0.012
-    record = read_whole(timed_csv(tmp_path, time_s), ANY_RATE)
-    assert (record.rate_hz, len(record.dv)) == (pytest.approx(50), 400)
-    assert record.remarks == ("200 stamps are late by up to 12 ms: read as if on time",)
 
 
 def table_with_gaps(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
@@ -394,52 +345,21 @@ def test_dates_give_rate_and_start(tmp_path):
 # --- long records
 
 
-@pytest.mark.parametrize("kind", ["csv", "iso"])
-def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
+def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch):
     random, path = np.random.default_rng(3), tmp_path / "long"
-    record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
-    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
-    records.write_csv(record, path, layout)
-    head, *rows = path.read_text().splitlines()
-    if kind == "iso":  # milliseconds, of which 999 fit behind a point
-        cells = [row.partition(",") for row in rows]
-        rows = [f"2024-05-01T00:00:{float(time):06.3f},{rest}" for time, _, rest in cells]
-        layout = layout._replace(time_unit="iso")
+    rows = [",".join(map(repr, row)) for row in random.normal(size=(999, 6)).tolist()]
+    rows = [f"2024-05-01T00:00:{k / 100:06.3f},{row}" for k, row in enumerate(rows)]
     del rows[500:503]
     rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
-    rows.insert(50, "# a comment")
-    rows.insert(300, "")
-    path.write_text("\r\n".join([head, *rows]))
+    path.write_text(
+        "\r\n".join([HEAD.strip(), *rows[:50], "# a comment", *rows[50:300], "", *rows[300:]])
+    )
+    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz", time_unit="iso")
     whole = records.read_record(path, layout)
     monkeypatch.setattr(reader, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
     assert whole[2:] == again[2:] and whole.filled == 4
-
-
-_PEAK = """
-import re, sys
-from sinsjax.records import RecordLayout, read_record
-def peak():
-    return int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) * 1024
-names = dict(gyro_columns=("gx", "gy", "gz"), accel_columns=("ax", "ay", "az"))
-before = peak()
-record = read_record(sys.argv[1], RecordLayout("csv", time_column="time_s", **names))
-print((peak() - before) / len(record.dv))
-"""
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
-def test_long_csv_record_is_read_in_little_memory(tmp_path):
-    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
-    random, path = np.random.default_rng(3), tmp_path / "long.csv"
-    record = Record(random.normal(size=(500_000, 3)), random.normal(size=(500_000, 3)), 200.0)
-    records.write_csv(record, path, ANY_RATE)
-    ended = subprocess.run(
-        [sys.executable, "-c", _PEAK, str(path)], capture_output=True, text=True, check=True
-    )
-    assert float(ended.stdout) < 400
 
 
 # --- reference
@@ -483,16 +403,15 @@ def test_invalid_reference_is_refused(tmp_path, text, told):
 # --- the real record
 
 
-@needs_data
-def test_real_psins_record_survives_round_trip(tmp_path):
-    record = records.read_record(REAL, records.PSINS_LAYOUT)
+def test_real_psins_record_survives_round_trip(tmp_path, data_dir):
+    record = records.read_record(data_dir / "lasergyro_0_900.imu", records.PSINS_LAYOUT)
     assert record.dtheta.shape == record.dv.shape == (90_000, 3)
     assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
     assert np.linalg.norm(record.dv.mean(0)) * 100 == pytest.approx(9.79548, abs=2e-5)
     records.write_psins(record, tmp_path / "again.imu")
     again = records.read_psins(tmp_path / "again.imu")
     assert same_bits(again.dtheta, record.dtheta) and same_bits(again.dv, record.dv)
-    reference = records.read_reference(DATA / "lasergyro_0_900_reference.csv")
+    reference = records.read_reference(data_dir / "lasergyro_0_900_reference.csv")
     np.testing.assert_array_equal(reference.time_s, np.arange(901.0))
     np.testing.assert_array_equal(reference.attitude_deg[0], [0.897249, 0.166239, -90.588884])
     assert reference.sigma_deg is not None and reference.sigma_deg[0, 2] == 0.047809

@@ -156,12 +156,3 @@ def test_biases_of_parked_gyros_are_not_taken_for_turns(factor, draws):
         noise = 0.05 * DEG * rng.normal(size=parked.gyro.shape)
         findings = found(parked._replace(gyro=parked.gyro + bias + noise), factor=(factor,) * 3)
         assert findings and not any(one.is_certain for one in findings)
-
-
-@pytest.mark.parametrize("rate", [1e30, 2 * np.pi])
-def test_absurd_rates_of_turning_gyros_raise_nothing(rate):
-    """Values of a trusted record, and windows of whole turns without noise."""
-    gyro, accel = np.zeros((3000, 3)), np.tile([0.0, 0.0, G], (3000, 1))
-    gyro[:, 2] = rate
-    with np.errstate(all="ignore"):
-        found(Turned(gyro, accel, 0.0, 10.0))
