@@ -87,7 +87,7 @@ class TurnChoice(NamedTuple):
         return display.format_text("Least heading error (1 sigma) by motion", lines)
 
 
-def plan_turns(
+def plan_turns(  # noqa: PLR0913
     *,
     gyro_bias_deg_per_h: float,
     gyro_arw_deg_per_sqrt_h: float,

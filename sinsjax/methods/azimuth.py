@@ -34,23 +34,14 @@ from sinsjax.methods.filters.attitude import (
     rotation_from_tilt,
 )
 from sinsjax.methods.filters.kalman import Belief
-from sinsjax.methods.filters.keys import filter_method
-from sinsjax.methods.filters.loop import (
-    Filter,
-    FilterParams,
-    FilterState,
-    feed_back,
-    reverse_time,
-)
-from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.filters.keys import FIVE_STATES
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, feed_back
+from sinsjax.methods.filters.params import filter_method, filter_params
 from sinsjax.methods.method import AttitudeCovariance, Options, StudyKeys
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Scalar, Vec3
 
-STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
 VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
-REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
-"""Sign of each state under time reversal."""
 
 Errors = tuple[Scalar, ...]
 """Velocity errors (m/s), tilt and azimuth (rad)."""
@@ -170,8 +161,6 @@ def build_filter(predict: Prediction, options: Options) -> Filter:
 
     return Filter(
         transition=lambda state, here, f_dt: jacobian(state.belief.x, here, dt),
-        reverse=partial(reverse_time, REVERSAL),
-        heading=(AZIMUTH,),
         predict=predict_belief,
         feed_back=partial(feed_back, rotate=_rotate),
         attitude=_attitude,
@@ -196,23 +185,25 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
 
 def params(keys: StudyKeys, xp: Any) -> FilterParams:
     """Return the params of these filters, leaves (variants,)."""
-    return filter_params(STATES, keys, xp)._replace(extra=np.full(keys.count, ALPHA))
+    return filter_params(FIVE_STATES, keys, xp)._replace(extra=np.full(keys.count, ALPHA))
 
 
 EKF_AZIMUTH = filter_method(
+    FIVE_STATES,
+    partial(build_filter, predict_linearised),
     name="ekf_azimuth",
     summary="extended Kalman filter, its model nonlinear in the azimuth",
     source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
-    build=partial(build_filter, predict_linearised),
     params=params,
     step_s=25e-9,
 )
 
 UNSCENTED = filter_method(
+    FIVE_STATES,
+    partial(build_filter, predict_unscented),
     name="unscented",
     summary="the same model with an unscented transform",
     source="Julier (2002); Wan and van der Merwe (2000)",
-    build=partial(build_filter, predict_unscented),
     params=params,
     step_s=60e-9,
 )

@@ -13,7 +13,6 @@ small R, the heading comes within a few percent of the information bound (`bound
 and P is true.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 from sinsjax.maths.algebra import Entries, Minus
@@ -23,16 +22,11 @@ from sinsjax.methods.filters.kalman import Innovation
 from sinsjax.methods.filters.keys import (
     FilterSection,
     ResetsSection,
+    StateKind,
     check_resets,
-    check_trigger,
     has_trigger,
 )
-from sinsjax.methods.filters.loop import (
-    Filter,
-    FilterParams,
-    FilterState,
-    reverse_time,
-)
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState
 from sinsjax.methods.filters.params import filter_params
 from sinsjax.methods.method import Options, StudyKeys
 from sinsjax.methods.sincos import VE, VN
@@ -41,7 +35,8 @@ from sinsjax.types import Navigation, Scalar
 from sinsjax.value_types import Seconds, Section, SpeedSigma, field
 
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
-REVERSAL = (*sincos.REVERSAL, 1.0, 1.0, -1.0, -1.0)
+PLACE, SPEED = StateKind(None, None), StateKind(None, None, sign=-1.0)
+STATES = (*sincos.STATES, PLACE, PLACE, SPEED, SPEED)
 
 _TO_MEASURED: Entries = {(VE, SURGE_E): 1.0, (VN, SURGE_N): 1.0}
 _FROM_MEASURED: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
@@ -69,7 +64,6 @@ def build_filter(options: Options) -> Filter:
         init=init,
         transition=lambda state, here, f_dt: transition(here, state.extra, dt),
         update=_update_with_surge,
-        reverse=partial(reverse_time, REVERSAL),
     )
 
 
@@ -130,13 +124,14 @@ def check_no_trigger(study: StudyKeys) -> None:
 
 
 SURGE = sincos.describe(
+    STATES,
+    build_filter,
     name="kalman_surge",
     summary="the same with states for the velocity of a base that surges",
     source="`methods.surge`",
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
-    build=build_filter,
     params=params,
-    rules=(check_no_trigger, check_trigger, check_resets),
+    rules=(check_no_trigger, check_resets),
     turning="many",
     step_s=25e-9,
     compile_s=9.0,

@@ -76,6 +76,11 @@ class SearchSpace:
     rate_hz: float
     record_interval_s: float
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the variables."""
+        return [variable.name for variable in self.variables]
+
     @classmethod
     def from_study(cls, study: Study) -> "SearchSpace":
         """Return the search space of a study with [tune]."""
@@ -196,7 +201,7 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
             values[key] = None
             continue
         values[key] = study.reset_times()[0] if key == TIMES else getattr(section, key)
-        follows_surge = "surge_m_per_s" in study.sequential_keys  # of each variant
+        follows_surge = study.is_active("surge_m_per_s")  # of each variant
         if values[key] is None and not (key == "r_velocity_m_per_s" and follows_surge):
             if isinstance(default, str):
                 default = getattr(getattr(study, SECTION_OF[default]), default)

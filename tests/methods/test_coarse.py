@@ -101,13 +101,6 @@ def test_inertial_is_exact_at_interval_end_on_swinging_base(latitude, pitch, rol
     np.testing.assert_allclose(phi, 0, atol=0.1 * ARCSEC)
 
 
-@pytest.mark.parametrize("yaw", [-135.0, 0.0, 30.0])
-def test_analytic_fails_on_swinging_base(yaw):
-    motion, place = swinging(2.0, yaw=yaw), at(32.0)
-    increments = ideal(motion, place)
-    assert abs(error("analytic", increments, place, end(motion, increments))[2]) > 10 * DEG
-
-
 @pytest.mark.parametrize("method", NAMES)
 def test_constant_biases_leave_known_bias_floors(method):
     yaw, latitude = 40.0, 32.0
@@ -122,37 +115,6 @@ def test_constant_biases_leave_known_bias_floors(method):
     since_the_middle = -eps[1] * SECONDS / 2 if method == "inertial" else 0.0
     expected = [-nabla[1], nabla[0] + since_the_middle, phi_u]
     np.testing.assert_allclose(phi, expected, rtol=0.01)
-
-
-@pytest.mark.nightly(fast=("23",))
-@pytest.mark.parametrize("seconds", [6, SECONDS])
-def test_yaw_error_from_noise_matches_theory(seconds):
-    """So it shrinks as T^-1.5 (accelerometers, inertial) and as T^-0.5 (gyros, analytic)."""
-    place, force, drift = at(32.0), 500 * MICRO, 0.1 * DEG_PER_H
-    motion = still(yaw=20.0)
-    increments = ideal(motion, place, seconds)
-    noise = np.repeat([drift, force * float(place.gravity)], 3) * DT
-    normal = np.random.default_rng(seconds).standard_normal((100, *increments.shape))
-    drawn, truth = np.asarray(increments) + noise * normal, end(motion, increments)
-    inertial, analytic = (
-        np.sqrt(np.mean(np.square([error(method, one, place, truth)[2] for one in drawn])))
-        for method in ("inertial", "analytic")
-    )
-    slope = np.sqrt(30 / 7 / (seconds * RATE)) * force / (seconds / 2)
-    assert inertial == pytest.approx(slope / place.rate_n, rel=0.2)
-    assert analytic == pytest.approx(drift / place.rate_n / np.sqrt(seconds * RATE), rel=0.2)
-
-
-@some
-@given(phase=st.floats(0, 360), hertz=st.floats(2, 3.4))
-def test_inertial_yaw_is_insensitive_to_vibration_at_interval_ends(phase, hertz):
-    """1 cm/s at a parked vehicle's frequencies; without the weight yaw errs by up to 22 deg."""
-    motion, place = still(), at(34.0)
-    increments = ideal(motion, place)
-    edges = np.arange(len(increments) + 1) * DT
-    velocity = 0.01 * np.sin(2 * np.pi * hertz * edges + phase * DEG)
-    shaken = increments.at[:, 4].add(np.diff(velocity))
-    assert abs(error("inertial", shaken, place, end(motion, increments))[2]) < 0.7 * DEG
 
 
 def velocity_fit(samples: Sample, place: Place) -> Rotation:

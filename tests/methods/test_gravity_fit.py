@@ -90,32 +90,6 @@ def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     assert abs(misfit.mean() - 1) < 0.05
 
 
-@pytest.mark.nightly
-def test_biases_of_any_size_and_any_heading_are_found() -> None:
-    given = study(
-        16,
-        sensors=NOISE | {"gyro_arw_deg_per_sqrt_h": 0.2},
-        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 50.0]}},
-        axes={"yaw_center_deg": [-170.0, -80.0, 10.0, 100.0]},
-    )
-    error, sigma = columns(given, "phi_u_arcmin", "sigma_u_arcmin")
-    mean_square = np.mean((error / sigma) ** 2)
-    low, high = stats.chi2.ppf([0.001, 0.999], 64) / 64
-    assert low < mean_square < high
-
-
-@pytest.mark.nightly
-def test_gyro_biases_and_their_sigma_are_results() -> None:
-    given = study(32)
-    truth = np.asarray(sinsjax.run(given).summary["gyro_bias_deg_per_h"].to_pylist())
-    for axis, name in enumerate(("right", "front", "up")):
-        found, sigma = columns(
-            given, f"fit_gyro_bias_{name}_deg_per_h", f"fit_gyro_bias_{name}_sigma_deg_per_h"
-        )
-        low, high = stats.chi2.ppf([0.001, 0.999], 32)
-        assert low < np.sum(((found - truth[:, axis]) / sigma) ** 2) < high
-
-
 SWAY = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
 
 

@@ -13,8 +13,8 @@ from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
-from sinsjax.methods import least_squares
-from sinsjax.methods.least_squares import dominant_eigenvector, reaction_velocity
+from sinsjax.methods import inertial_frame
+from sinsjax.methods.inertial_frame import dominant_eigenvector, reaction_velocity
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
@@ -38,7 +38,7 @@ def test_dominant_eigenvector_is_accurate_for_close_eigenvalues(seed, gap, size,
     found = np.array(jax.jit(dominant_eigenvector)(triangle, jnp.asarray(10**size * (1 + above))))
     assert np.linalg.norm(found) == pytest.approx(1, rel=1e-14)
     off = axes[:, 0] * np.sign(axes[:, 0] @ found) - found
-    near, distant = np.split(axes.T @ np.transpose(least_squares._STARTS), 2)
+    near, distant = np.split(axes.T @ np.transpose(inertial_frame._STARTS), 2)
     first, second = np.linalg.norm(distant @ np.linalg.inv(near), axis=0)
     reach = 1 - max(-0.9, -1.1 + gap)
     first, second = first * (above / reach) ** 2, second * ((above + gap) / reach) ** 2

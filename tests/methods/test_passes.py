@@ -42,7 +42,7 @@ def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, reco
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
-        read = passes.read_alternately(jnp.asarray(record), jnp.asarray(stored), every)
+        read = passes.read_interval("alternate", jnp.asarray(record), jnp.asarray(stored), every)
         turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)
@@ -102,10 +102,10 @@ def test_backward_pass_retraces_forward_navigation(position: str) -> None:
 )
 def test_backward_error_model_is_reversed_forward_model(with_biases, v, phi, latitude_deg):
     """Errors backward are T x, so that A backward is -T A T: one model for both directions."""
-    dt, model = 0.01, zero_velocity.five_state_transition
-    reversal = zero_velocity.REVERSAL
+    dt, model, states = 0.01, zero_velocity.five_state_transition, zero_velocity.FIVE_STATES
     if with_biases:
-        model, reversal = zero_velocity.ten_state_transition, reversal + zero_velocity.BIAS_REVERSAL
+        model, states = zero_velocity.ten_state_transition, zero_velocity.TEN_STATES
+    reversal = [kind.sign for kind in states]
     here = place(WGS84, latitude_deg * DEG)
     nav = navigation(exp(phi), v, latitude_deg * DEG)
     f_dt = Vec3(0.3 * dt, -0.2 * dt, 9.9 * dt)

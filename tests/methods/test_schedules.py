@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.in_engine import (
     PAPER1,
+    filter_params,
     navigation,
     paper_filter,
-    params,
     runner,
     site,
     swing_increments,
@@ -52,17 +52,6 @@ def shares(times, width):
     return jax.vmap(lambda n: reset_due(windows, n))(1.0 + jnp.arange(1000.0))
 
 
-@given(st.floats(300, 700), st.floats(0.5, 250))
-def test_reset_window_has_given_width_and_is_symmetric(time, width):
-    share = np.asarray(shares(np.array([time]), width))
-    n = np.arange(1, 1001)
-    assert np.all(share[np.abs(n - time) >= width] == 0)
-    assert np.all((share >= 0) & (share < 1))
-    assert np.all(share[np.abs(n - time) < 0.99 * width] > 0)
-    mirrored = np.asarray(shares(np.array([1001 - time]), width))
-    np.testing.assert_allclose(share, mirrored[::-1], rtol=1e-9, atol=1e-12)
-
-
 @given(st.floats(300, 700), st.floats(20, 250))
 def test_shares_of_reset_window_combine_to_full_reset(time, width):
     """What its shares leave is exp(-8), and a little more where few samples have much of it."""
@@ -85,7 +74,7 @@ def rows():
 
 def run(resets):
     """What is left of a run at its end: variances over those of the start, attitude, x."""
-    filt = params(paper_filter(5, every=9, gain=0.4))._replace(resets=resets)
+    filt = filter_params(paper_filter(5, every=9, gain=0.4))._replace(resets=resets)
     off = exp(-np.array([5.0, 5.0, 30.0]) * DEG)
     nav = navigation(off @ PAPER1.matrix(0.0), (0.3, -0.2), LATITUDE)
     state, attitude, _ = runner("kalman5", rate=RATE)(filt, site(PAPER, LATITUDE), nav, rows())

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from support.alone import set_up_alone
-from support.methods import FIVE, TEN
 
 from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams
@@ -81,8 +80,6 @@ PAPER_Q = {
 }
 """Process noise of a step, as standard deviations."""
 
-_STATES_OF = {len(states): states for states in (FIVE, TEN)}
-
 
 def paper_filter(n: int, **changes) -> Filter:
     """[P1]'s filter of n = 5 or 10 states, Q per step."""
@@ -97,17 +94,6 @@ def paper_params(states: Sequence[str], **changes) -> FilterParams:
 def _paper_filter(states: Sequence[str], changes: dict[str, Any]) -> Filter:
     p0, q = (np.array([of[name] for name in states]) ** 2 for of in (PAPER_P0, PAPER_Q))
     return Filter(p0, q, 0.1**2)._replace(**changes)
-
-
-def by_state(values: np.ndarray) -> tuple[Any, ...]:
-    """One value a state, from the naive module's order to that of the engine's model."""
-    of = dict(zip(STATES, values, strict=False))
-    return tuple(of[name] for name in _STATES_OF[len(of)])
-
-
-def params(filt: Filter) -> FilterParams:
-    """Numbers of [P1]'s filter; the naive order of states is not the engine's."""
-    return filter_params(filt._replace(p0=by_state(filt.p0), q=by_state(filt.q)))
 
 
 def filter_params(filt: Filter) -> FilterParams:

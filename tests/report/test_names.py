@@ -1,7 +1,6 @@
 """Names from a study are printed literally in every medium, and no name breaks a report."""
 
 import io
-import json
 import sys
 import unicodedata
 from html import escape
@@ -12,23 +11,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import tomli_w
 from markdown_it import MarkdownIt
 from rich.console import Console
 from support.stored_results import report_text, store_results, write_part
-from support.studies import BASE, small_study
+from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
 
-from sinsjax import cli, columns, report
+from sinsjax import columns, report
 from sinsjax import console as screen
 from sinsjax.errors import InputError
-from sinsjax.execution import run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import Results
 from sinsjax.messages import CONTROL
 from sinsjax.report.base import Fact, Report, Table
 from sinsjax.report.markdown import escape_markdown
-from sinsjax.report.output import DrawnReport, print_report, write_html_page
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -72,10 +67,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", NASTY)
 def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = read.renderInline(escape_markdown(name)).replace("&lt;", "<").replace("&gt;", ">")
-    assert shown.replace("&amp;", "&") == name
-    cell = read.renderInline(escape_markdown(name))
-    assert f"<td>{cell}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
+    shown = escape(name, quote=False)
+    assert read.renderInline(escape_markdown(name)) == shown
+    assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
 
 
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
@@ -114,10 +108,9 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
     facts = [Fact(f"label{odd}", f"fact{odd}")]
     whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
-    made = DrawnReport.from_report(Results.read(results), whole)
-    print_report(made, said)
-    print_report(made, said, full=True)
-    write_html_page(tmp_path / "page.html", f"name{odd}", [made])
+    report.print_report(whole, said, results)
+    report.print_report(whole, said, results, full=True)
+    report.write_html_page(tmp_path / "page.html", f"name{odd}", [(whole, {})])
     page = (tmp_path / "page.html").read_text()
     for text in (said.file.getvalue(), page):
         assert not CONTROL.search(text.replace("\n", ""))
@@ -157,26 +150,15 @@ def test_control_characters_in_names_are_refused(letter: str) -> None:
         assert letter not in line and line.isprintable()
 
 
-@pytest.mark.nightly
-def test_failed_report_keeps_results_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_failed_report_is_one_line_and_keeps_the_results(
+    results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:
-        store_nasty_results(directory)
-        manifest = {"state": "complete", "config": str(options["source"])}
-        (directory / "manifest.json").write_text(json.dumps(manifest))
-
-    def broken(*_: Any) -> None:
+    def broken(*_: Any, **__: Any) -> None:
         raise ValueError("\nx^\n  ^\nParseSyntaxException")
 
-    config, out = tmp_path / "swing.toml", tmp_path / "out"
-    config.write_text(tomli_w.dumps(BASE))
-    monkeypatch.setattr(run, "run_into", finished)
+    before = {path: path.read_bytes() for path in results.rglob("*.*")}
     monkeypatch.setattr(report.monte_carlo, "build_report", broken)
-    monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    said = capsys.readouterr().err
-    assert stop.value.code == 2 and "Traceback" not in said
-    assert f"error: {out}: the report failed, the results are" in said.splitlines()[-1]
-    assert json.loads((out / "manifest.json").read_text())["state"] == "complete"
+    with pytest.raises(InputError, match="the report failed, the results are unchanged") as error:
+        report_text(results)
+    assert "\n" not in str(error.value)
+    assert {path: path.read_bytes() for path in before} == before

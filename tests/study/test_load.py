@@ -176,11 +176,6 @@ def test_values_are_those_of_each_variant():
     for key in ("start_s", "seed", "nonsense"):
         with pytest.raises(KeyError):
             study.values(key)
-    # A required key may be swept alone.
-    data = {"study": SIMULATED["study"], "motion": SIMULATED["motion"]}
-    study = build_study(data, axes={"latitude_deg": [0, 80]})
-    assert study.values("latitude_deg") == [0.0, 80.0]
-    assert study_from_dict(study.to_dict()).axes == study.axes
 
 
 # Files
@@ -322,8 +317,3 @@ def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):
     assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
     assert f"{study.n_variants:,} variant" in facts[0] and study.methods[0] in facts[2]
     assert study_from_dict(tomllib.loads(tomli_w.dumps(study.to_dict()))) == study
-
-
-def test_display_escapes_text_from_a_file():
-    study = small_study(study={"name": "<script>&"})
-    assert "<script>" not in study._repr_html_() and "&lt;script&gt;&amp;" in study._repr_html_()
