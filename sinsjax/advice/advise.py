@@ -26,10 +26,7 @@ from sinsjax.advice.method import Choice, choose_method
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, without_empty
 from sinsjax.bounds.information import HeadingProblem, heading_bound
 from sinsjax.bounds.turn_planner import SHORTEST_S, TurnChoice, compare_turns
-from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import level_surge
-from sinsjax.study import display
-from sinsjax.study.reset_plan import ResetPlan, reset_schedule
 from sinsjax.study.turns import DEFAULTS, useless_methods
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 
@@ -74,7 +71,6 @@ class Advice:
             theory, arcmin.
         turns: the base as it is, and turned in usual ways, with the same method; None if the sheet
             turns the base itself.
-        resets: the law's schedule of a five-state filter with the same noise; None without one.
 
     Examples:
         >>> advice = sinsjax.advise(imu="kvh1775", latitude_deg=48.0, motion="rocking")
@@ -96,7 +92,6 @@ class Advice:
     budget: Budget
     bound_arcmin: float
     turns: TurnChoice | None
-    resets: ResetPlan | None
 
     @property
     def name(self) -> str:
@@ -226,11 +221,6 @@ class Advice:
             "method": self.choice.method,
             "settings": self.choice.sections,
             "loss": self.loss,
-            "kalman5_resets": self.resets.settings if self.resets else None,
-            "kalman5_settles_s": finite_or_none(self.resets.noisy_s) if self.resets else None,
-            "kalman5_settles_2_sigma_s": finite_or_none(self.resets.late_s)
-            if self.resets
-            else None,
             "turns": [one._asdict() for one in self.turns.options] if self.turns else None,
             "warnings": list(self.warnings),
             "doubts": list(self.sheet.doubts),
@@ -248,16 +238,10 @@ class Advice:
         return plot_budget(self.budget.times_s, rms, shares, names, self.time_s, title)
 
     def __repr__(self) -> str:
-        """Return the main numbers; `sinsjax.advice.text.describe_advice` has all of them."""
-        here, shares = self.heading, self.shares
-        facts = {
-            "heading": f"{here.rms_arcmin:.3g} arcmin rms after {self.time_s:g} s",
-            "95 %": f"within {here.within_95_arcmin:.3g} arcmin",
-            "budget": ", ".join(f"{SOURCES[key]} {part:.0%}" for key, part in shares.items()),
-            "method": self.choice.method,
-        }
-        facts |= {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
-        return display.format_text(f"Advice for {self.name}", facts)
+        """Return the advice as `sinsjax advise` prints it."""
+        from sinsjax.advice.text import describe_advice
+
+        return "\n".join(describe_advice(self))
 
     @property
     def _cos_latitude(self) -> float:
@@ -324,7 +308,6 @@ def advise_sheet(given: Sheet) -> Advice:
         budget=budget,
         bound_arcmin=float(bound / ARCMIN),
         turns=_turns(given, problem, left_out),
-        resets=_resets(given, budget),
     )
 
 
@@ -370,25 +353,6 @@ def _turns(sheet: Sheet, problem: HeadingProblem, left_out: Sequence[str]) -> Tu
     return compare_turns(problem, sheet.asked.time_s, left_out)
 
 
-def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
-    """Return the law's resets of a five-state filter, if it has a schedule for it.
-
-    The band is one that all errors but the turn-on biases stay within, at 2 sigma, at some time.
-    """
-    if sheet.is_turned:
-        return None
-    least = float(budget.varying.min()) / ARCMIN
-    for band_arcmin in (10.0, 60.0, 300.0):
-        if 2 * least > band_arcmin:
-            continue
-        try:
-            study = sheet.study(methods.five_state(sheet))
-            return reset_schedule(study, settle_band_arcmin=band_arcmin)
-        except InputError:  # the noise is beyond the band
-            continue
-    return None
-
-
 def _iter_warnings(advice: Advice) -> Iterator[str]:
     """Yield what can go wrong."""
     here, asked, shares = advice.heading, advice.sheet.asked, advice.shares
@@ -409,7 +373,7 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             turns, more = advice.turns, ""
             if turns is not None and turns.best.sigma_arcmin * ARCMIN < _COARSE:
                 more = f"; an IMU that is turned finds it: {_describe_turn_keys(turns)}"
-            yield f"north is not found: {far}, for {_describe_dominant(advice)}{more}"
+            yield f"north is not found: {far}, for the {SOURCES[advice.dominant]}{more}"
         else:
             yield f"beyond linear theory: 20 % more or less are possible, and {far}"
     if advice.misses_turns:
@@ -459,24 +423,10 @@ def _describe_turn_keys(turns: TurnChoice) -> str:
     return " ".join(f"--set 'motion.{key}={json.dumps(value)}'" for key, value in changes.items())
 
 
-def _describe_dominant(advice: Advice) -> str:
-    """Return the largest source, and how a gyro bias compares with the rate to be found."""
-    text = f"the {SOURCES[advice.dominant]}"
-    if advice.dominant != "gyro_bias":
-        return text
-    bias, rate = advice.sheet.sigma("gyro_bias_deg_per_h"), 15.041067 * advice._cos_latitude
-    return f"{text} of {bias:.3g} deg/h; the level part of the Earth rate is {rate:.3g} deg/h"
-
-
 def _swing_speed(motion: Mapping[str, Any]) -> float:
     """Return the rms speed, m/s, at which angular vibration moves the end of the lever arm."""
     rate, arm = motion.get("vibration_deg_per_h_rms", 0.0), motion.get("lever_arm_m", 0.0)
     return float(np.max(np.abs(rate)) * DEG_PER_H * np.max(np.abs(arm)))
-
-
-def finite_or_none(value: float) -> float | None:
-    """Return a number that JSON has, or None."""
-    return value if math.isfinite(value) else None
 
 
 def format_angle(arcmin: float) -> str:

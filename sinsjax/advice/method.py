@@ -89,11 +89,6 @@ def choose_method(sheet: Sheet) -> Choice:
     return Choice(FIT, sections, reason)
 
 
-def five_state(sheet: Sheet) -> dict[str, Any]:
-    """Return the sections of a five-state filter with the sheet's noise, for the law of resets."""
-    return {"alignment": {"method": "kalman5"}, "filter": _noise_of(sheet)}
-
-
 def velocity_sigma(sheet: Sheet) -> float:
     """Return the root of R of a filter that takes surge for noise, m/s per update."""
     motion = sheet.tables["motion"]

@@ -43,9 +43,7 @@ def describe_advice(advice: Advice) -> Iterator[str]:
     yield from (f"    {line}".rstrip() for line in advice.choice.toml.splitlines())
     yield ""
     yield _fact("filter", _describe_filter(advice))
-    yield _fact("resets", _describe_resets(advice))
     yield _fact("turning", _describe_turns(advice))
-    yield _fact("passes", _describe_passes(advice))
     for warning in advice.warnings:
         yield _fact("warning", warning)
 
@@ -107,26 +105,6 @@ def _iter_motion(motion: dict[str, Any]) -> Iterator[str]:
         yield f"lever arm {lever_arm} m"
 
 
-def _describe_resets(advice: Advice) -> str:
-    """Return whether resets are of use, and when."""
-    none, plan = f"none for {advice.choice.method}", advice.resets
-    if advice.sheet.is_turned:
-        return f"{none}; the law of resets holds for a base that is not turned"
-    if plan is None:
-        return f"{none}; the law has no schedule for a five-state filter with this noise"
-    times = ", ".join(f"{time:g}" for time in plan.times_s)
-    without = "never" if math.isinf(plan.without_s) else f"in {plan.without_s:.0f} s"
-    late = "never" if math.isinf(plan.late_s) else f"{plan.late_s:.0f} s"
-    drifts = ", more with bias instability" if plan.left_out else ""
-    velocity = plan.settings["reset_velocity_m_per_s"]
-    return (
-        f'{none}. A five-state filter (kalman5) with this noise and schedule = "law" (resets at'
-        f" {times} s, reset_velocity_m_per_s = {velocity:g}) settles within"
-        f" {plan.band_arcmin:g}' of its bias floor from {plan.heading_bound_deg:g} deg in"
-        f" {plan.median} (median; {late} with 2 sigma of noise{drifts}); without resets {without}"
-    )
-
-
 def _describe_filter(advice: Advice) -> str:
     """Return how to set a filter that goes on with a covariance after the alignment."""
     sheet = advice.sheet
@@ -168,9 +146,3 @@ def _describe_option(option: TurnOption) -> str:
     if option.name == "half turn":
         return f"one 180 deg turn at {option.motion['turn_times_s'][0]:g} s"
     return option.name
-
-
-def _describe_passes(advice: Advice) -> str:
-    if advice.choice.method == methods.FIT:
-        return "one over a stored record is enough: the fit uses all of the data at once"
-    return "a second one over a stored record repairs a large initial error, and adds nothing else"

@@ -13,7 +13,6 @@ from support.commands import command_line
 from support.refusals import assert_refusal
 
 import sinsjax
-from sinsjax.advice.advise import _resets
 from sinsjax.advice.heading import Budget, heading_budget, sheet_problem
 from sinsjax.advice.method import choose_method
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
@@ -140,7 +139,7 @@ def test_turned_sheet_is_advised_as_it_turns():
     assert turned.turns is None and turned.headings[-1].time_s == 300
     (half,) = (one for one in advise().turns.options if one.name == "half turn")
     assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
-    assert turned.resets is None and "not turned" in "\n".join(describe_advice(turned))
+    assert "the sheet turns the base" in "\n".join(describe_advice(turned))
 
 
 def test_surging_base_that_turns_is_warned_of():
@@ -149,12 +148,6 @@ def test_surging_base_that_turns_is_warned_of():
     assert advice.choice.method == "kalman_surge" and advice.misses_turns
     assert "turns" in advice.warnings[0]
     assert not replace(advice, sheet=read(motion="surging")).misses_turns
-
-
-def test_resets_aim_at_a_band_that_drift_allows():
-    sheet = read({"sensors.gyro_instability_deg_per_h": 0.4})
-    strong = _resets(sheet, budget_of(sheet, 60.0, 120.0, 300.0))
-    assert strong is not None and strong.band_arcmin == 300.0  # not 10', which drift exceeds
 
 
 def test_warning_names_the_keys_of_a_turn_that_helps():
