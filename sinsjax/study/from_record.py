@@ -188,9 +188,9 @@ def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_log(path: Path, answers: Mapping[str, Any]) -> tuple[Proposal, Record | None]:
     """Return what is known of a log, and its record unless its columns or its clock are open."""
-    if is_psins(path) and "columns" not in answers:
-        return Proposal(PSINS_LAYOUT), read_psins(path)
     table = open_log(path, answers.get("columns", ()), answers.get("skip_rows", 0))
+    if table.format == "csv" and "columns" not in answers and is_psins(path):
+        return Proposal(PSINS_LAYOUT), read_psins(path)
     proposal = propose_layout(table, answers)
     layout = proposal.layout
     for name in (*layout.time_columns, *layout.gyro_columns, *layout.accel_columns):
