@@ -16,7 +16,7 @@ from sinsjax.records.tabular import record_from_table
 _AXIS_SUFFIXES = tuple(f"[:, {axis}]" for axis in range(3))
 
 
-def record_from_arrays(
+def record_from_arrays(  # noqa: PLR0913
     time: Any,
     gyro: Any,
     accel: Any,
