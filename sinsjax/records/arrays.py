@@ -63,7 +63,7 @@ def record_from_arrays(  # noqa: PLR0913
         The record with its reference.
 
     Raises:
-        InputError: an argument is wrong; one line names the array and the row, from 0.
+        InputError: an argument is wrong; one line names the array or column, and the row, from 0.
 
     Examples:
         >>> import numpy as np
@@ -88,7 +88,8 @@ def record_from_arrays(  # noqa: PLR0913
     check_layout(layout, source)
     columns: dict[str, pa.ChunkedArray] = {}
     for name, array in (("gyro", gyro), ("accel", accel)):
-        vectors = array.filled(np.nan) if hasattr(array, "filled") else np.asarray(array)
+        array = array.astype(float).filled(np.nan) if hasattr(array, "filled") else array
+        vectors = np.asarray(array)
         if vectors.ndim != 2 or vectors.shape[1] != 3:
             raise InputError(f"{source}: {name}: must have the shape (T, 3), not {vectors.shape}")
         for suffix, values in zip(_AXIS_SUFFIXES, vectors.T, strict=True):
@@ -117,10 +118,10 @@ def _to_arrow(source: str, name: str, values: Any) -> pa.ChunkedArray:
 def _make_table(source: str, columns: Mapping[str, pa.ChunkedArray]) -> Table:
     """Return columns in memory as an opened table, whose rows count from 0."""
     names, rows = [*columns], {name: len(column) for name, column in columns.items()}
-    if len({*rows.values()}) > 1 or not rows[names[0]]:
+    if len({*rows.values()}) != 1 or 0 in rows.values():
         counts = ", ".join(f"{name} {count}" for name, count in rows.items())
         raise InputError(f"{source}: columns must have the same number of rows, not 0: {counts}")
-    return Table(source, names, lambda index: [columns[names[k]] for k in index], int, "arrays")
+    return Table(source, names, lambda index: [[columns[names[k]] for k in index]], int, "arrays")
 
 
 def _make_reference(source: str, reference: Any) -> Reference | None:

@@ -158,7 +158,7 @@ def _find_triad(
             triad for triad in triads
             if gravity_units(math.hypot(*map(means.__getitem__, triad.names)) * triad.unit[1])
         ]  # fmt: skip
-        if len(heavy) == 1:
+        if len(heavy) == 1 and not heavy[0].in_navigation_frame:
             return heavy[0]
     problem = f"no column is named as of {noun}"
     if triads:

@@ -11,7 +11,7 @@ import gzip
 import math
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice, pairwise
 from pathlib import Path
@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten, suggest_closest
@@ -44,12 +45,16 @@ _NUMBERS = (pa.float64(),)
 _DATES = (pa.timestamp("ns"), pa.timestamp("ns", "UTC"))  # without a zone, and with one
 
 
+Columns = Sequence[pa.ChunkedArray]
+"""Columns of numbers, dates or text."""
+
+
 class Table(NamedTuple):
     """An opened file with named columns, or columns in memory."""
 
     source: str  # name of the file, for messages
     names: list[str]  # of all columns, in order
-    load: Callable[[list[int]], Sequence[pa.ChunkedArray]]  # columns by index: numbers, dates, text
+    load: Callable[[list[int]], Iterable[Columns]]  # batches of the columns of some indices
     row_number: Callable[[int], int]  # row of sample k, for messages; after `read`
     format: str  # "csv" or "parquet"; "arrays" for columns in memory
     head: Mapping[str, Sequence[str]] = MappingProxyType({})  # cells of the first rows, by name
@@ -83,15 +88,21 @@ class Table(NamedTuple):
                 shown = shorten(", ".join(map(repr, self.names)), 300)
                 hint = suggest_closest(name, self.names) or f"; the file has {shown}"
                 raise InputError(f"{self.source}: no column {name!r}{hint}")
-        columns = self.load([self.names.index(name) for name in wanted]) if wanted else []
-        if columns and not len(columns[0]):
+        batches, count = list[list[FloatArray]](), 0
+        for columns in self.load([self.names.index(name) for name in wanted]) if wanted else ():
+            pairs = zip(wanted, columns, strict=True)
+            batches.append(
+                [self._to_numbers(n, c, count, is_date=n in dates, blanks=blanks) for n, c in pairs]
+            )
+            count += len(columns[0])
+        if wanted and not count:
             raise InputError(f"{self.source}: no samples after the header")
-        pairs = zip(wanted, columns, strict=True)
-        return [self._to_numbers(n, c, is_date=n in dates, blanks=blanks) for n, c in pairs]
+        return [np.concatenate(parts) for parts in zip(*batches, strict=True)]
 
     def _to_numbers(
-        self, name: str, column: pa.ChunkedArray, *, is_date: bool, blanks: bool
+        self, name: str, column: pa.ChunkedArray, first: int, *, is_date: bool, blanks: bool
     ) -> FloatArray:
+        """Return samples of a column, of which the first one has a number for messages."""
         kinds, wanted = (_DATES, "dates with time") if is_date else (_NUMBERS, "numbers")
         if pa.types.is_string(column.type):
             column = pc.utf8_trim_whitespace(column)
@@ -104,7 +115,7 @@ class Table(NamedTuple):
                 wrong = (k for k, text in enumerate(texts) if not _is_castable([text], kinds))
                 k = next(wrong, 0)  # the first one, if only some dates have a zone
                 text = f"{shorten(str(texts[k]), 24)!r} is not one of {wanted}"
-                raise self._cell_error(name, k, text)
+                raise self._cell_error(name, first + k, text)
         kind = column.type
         are_numbers = pa.types.is_floating(kind) or pa.types.is_integer(kind)
         if not (pa.types.is_timestamp(kind) if is_date else are_numbers):
@@ -118,7 +129,7 @@ class Table(NamedTuple):
             k = int(valid.argmin())
             is_large = math.isfinite(values[k])
             text = f"out of range (beyond {_MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
-            raise self._cell_error(name, k, text)
+            raise self._cell_error(name, first + k, text)
         return values
 
     def _cell_error(self, name: str, k: int, text: str) -> InputError:
@@ -235,17 +246,18 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
     _, lines = next(read_lines(path))
     shape = _find_shape(path, lines, columns, skip_rows)
     _check_width(path, shape.names)
-    rows = [np.empty(0, int)]
+    rows: list[NDArray[np.int64]] = []
 
-    def load(index: list[int]) -> Sequence[pa.ChunkedArray]:
-        parts: list[pa.Table] = []
-        rows[:] = [np.empty(0, int)]
+    def load(index: list[int]) -> Iterator[Columns]:
+        rows.clear()
         for first, batch in read_lines(path):
             if data := [*data_lines(batch, first, shape.begin)]:
                 rows.append(np.array([line.row for line in data]))
-                parts.append(_split_batch(path, shape, data, index))
+                yield _split_batch(path, shape, data, index).columns
+
+    def row_number(k: int) -> int:
         rows[:] = [np.concatenate(rows)]
-        return pa.concat_tables(parts).columns if parts else [pa.chunked_array([], pa.string())]
+        return int(rows[0][k])
 
     start = islice(data_lines(lines, 1, shape.begin), _HEAD_ROWS)
     head = [_split(line.text, shape) for line in start]
@@ -253,7 +265,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         str(path),
         shape.names,
         load,
-        lambda k: int(rows[0][k]),
+        row_number,
         "csv",
         head={n: [c[k] for c in head if k < len(c)] for k, n in enumerate(shape.names)},
         units=dict(zip(shape.names, shape.units, strict=False)),
@@ -363,9 +375,9 @@ def open_parquet(path: str | Path) -> Table:
     names = file.schema_arrow.names
     _check_width(path, names)
 
-    def load(index: list[int]) -> Sequence[pa.ChunkedArray]:
+    def load(index: list[int]) -> list[Columns]:
         try:
-            return [file.read([names[k]]).column(names[k]) for k in index]
+            return [[file.read([names[k]]).column(names[k]) for k in index]]
         except (pa.ArrowException, OSError, KeyError):
             raise InputError(f"{path}: damaged: its columns cannot be read") from None
 

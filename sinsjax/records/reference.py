@@ -15,19 +15,12 @@ _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
 
 
 class Reference(NamedTuple):
-    """A reference attitude at M times.
+    """A reference attitude at M times."""
 
-    Attributes:
-        time_s: (M,) increasing, on the record's clock, s.
-        attitude_deg: (M, 3) pitch, roll and yaw (counter-clockwise from north), deg.
-        sigma_deg: (M, 3) standard deviations about east, north and up, deg; None if not given.
-        source: the file's name, for messages.
-    """
-
-    time_s: FloatArray
-    attitude_deg: FloatArray
-    sigma_deg: FloatArray | None
-    source: str = "reference"
+    time_s: FloatArray  # (M,) increasing, on the record's clock
+    attitude_deg: FloatArray  # (M, 3) pitch, roll and yaw (counter-clockwise from north)
+    sigma_deg: FloatArray | None  # (M, 3) about east, north and up, 1 sigma; None if not given
+    source: str = "reference"  # the file's name, for messages
 
 
 def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Reference:

@@ -62,7 +62,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     dates = [layout.time_column] if layout.time_unit == "iso" else []
     columns = table.read([*names, *layout.time_columns], blanks=True, dates=dates)
     rows, times = np.column_stack(columns[:6]), columns[6:]
-    del columns
+    del columns  # to save the memory of a second copy of a long record
     if not np.isfinite(rows).all(axis=1).any():
         raise InputError(f"{table.source}: no row has a number in all six columns of the sensors")
     remarks, samples = list[str](), np.arange(len(rows))
@@ -77,7 +77,8 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
             first = table.row_number(int(repeated.argmax()))
             remarks.append(f"{count} left out that repeat the one before, the first in row {first}")
         samples = np.flatnonzero(np.isfinite(time_s) & ~repeated)
-        rows, time_s = rows[samples], time_s[samples]
+        if len(samples) < len(rows):
+            rows, time_s = rows[samples], time_s[samples]
         sampling = find_sampling(
             table.source, layout, time_s, lambda k: table.row_number(int(samples[k]))
         )

@@ -188,9 +188,9 @@ def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_log(path: Path, answers: Mapping[str, Any]) -> tuple[Proposal, Record | None]:
     """Return what is known of a log, and its record unless its columns or its clock are open."""
-    if is_psins(path) and "columns" not in answers:
-        return Proposal(PSINS_LAYOUT), read_psins(path)
     table = open_log(path, answers.get("columns", ()), answers.get("skip_rows", 0))
+    if table.format == "csv" and "columns" not in answers and is_psins(path):
+        return Proposal(PSINS_LAYOUT), read_psins(path)
     proposal = propose_layout(table, answers)
     layout = proposal.layout
     for name in (*layout.time_columns, *layout.gyro_columns, *layout.accel_columns):
@@ -247,7 +247,7 @@ def _examine(
         gravity=STANDARD_GRAVITY,
         gyro_bias_deg_per_h=given.get("gyro_bias_deg_per_h"),
     )
-    findings = [*report_anomalies(record.anomalies, [span])]
+    findings = report_anomalies(record.anomalies, [span])
     if is_known and not any(finding.is_certain for finding in findings):
         findings += check_stationary(record, span, proposal.layout, expected)
     method, fit, evidence = "inertial", dict[str, float](), ""
@@ -259,15 +259,13 @@ def _examine(
         gyro_noise, accel_noise = (
             white_noise(rows[slice(*span)], record.rate_hz) for rows in (record.dtheta, record.dv)
         )
-        method, fit = (
-            "gravity_fit",
-            {
-                "fit_gyro_bias_deg_per_h": gyro_bias,
-                "fit_gyro_arw_deg_per_sqrt_h": float(f"{gyro_noise / DEG_PER_SQRT_H:.2g}"),
-                "fit_accel_bias_ug": ACCEL_BIAS_UG,
-                "fit_accel_vrw_ug_per_sqrt_hz": float(f"{accel_noise / micro_g():.2g}"),
-            },
-        )
+        method = "gravity_fit"
+        fit = {
+            "fit_gyro_bias_deg_per_h": gyro_bias,
+            "fit_gyro_arw_deg_per_sqrt_h": float(f"{gyro_noise / DEG_PER_SQRT_H:.2g}"),
+            "fit_accel_bias_ug": ACCEL_BIAS_UG,
+            "fit_accel_vrw_ug_per_sqrt_hz": float(f"{accel_noise / micro_g():.2g}"),
+        }
     elif is_known and not findings and not turns:
         evidence = f" (the gyros give {means.latitude / DEG:.1f}; their mean rate is"
         evidence += f" {means.magnitude / EARTH_RATE:.3g} times Earth rate)"

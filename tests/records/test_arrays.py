@@ -156,6 +156,7 @@ def test_reference_times_become_relative_to_record_start():
         ({"time": TIME[::-1]}, "column 'time': row 1: backward 30.0 29.99"),
         ({"rate_hz": 50.0}, "column 'time' 100 rate_hz 50"),
         ({"axes": "yxz"}, "axes_order: 'yxz' left-handed"),
+        ({"reference": {}}, "reference: rows 0"),
         ({"reference": {"time_s": [0, 1]}}, "reference: column 'pitch_deg'"),
     ],
 )

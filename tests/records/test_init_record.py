@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from support.commands import Command
 from support.refusals import assert_named
@@ -326,6 +328,16 @@ def test_longest_part_without_a_gap_is_aligned_and_short_gaps_are_filled(body, t
     study, _, doubts = read_study(path)
     assert study["record"]["start_s"] == [6.0] and study["record"]["max_gap_s"] == 0.08
     assert "a gap at 25 Hz" in doubts[0]
+
+
+def test_parquet_log_with_dates_becomes_study(body, tmp_path):
+    stamps = 1_714_564_800_000_000_000 + np.round(TIME * 1e9).astype(int)
+    columns = dict(zip(UNITS[1:], np.hstack(in_axes(body, "flu")).T, strict=True))
+    table = pa.table({"when": pa.array(stamps, pa.timestamp("ns", "UTC"))} | columns)
+    pq.write_table(table, tmp_path / "log.parquet")
+    study, questions, _ = read_study(tmp_path / "log.parquet")
+    assert [*questions] == ["latitude_deg"] and study["study"]["rate_hz"] == RATE
+    assert (study["record"]["format"], study["record"]["time_unit"]) == ("parquet", "iso")
 
 
 def test_psins_log_becomes_study_with_the_place_of_its_header(tmp_path):

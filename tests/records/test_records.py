@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.memory import process_bytes
 from support.refusals import assert_refusal
 
 from sinsjax import records
@@ -360,6 +361,17 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch):
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
     assert whole[2:] == again[2:] and whole.filled == 4
+
+
+@pytest.mark.nightly
+def test_long_csv_record_is_read_in_little_memory(tmp_path):
+    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
+    values = np.random.default_rng(3).normal(size=(500_000, 3))
+    records.write_csv(Record(values, values, 200.0), tmp_path / "long.csv", ANY_RATE)
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    before = process_bytes("VmRSS")
+    records.read_csv(tmp_path / "long.csv", ANY_RATE)
+    assert (process_bytes("VmHWM") - before) / len(values) < 400
 
 
 # --- reference
