@@ -13,10 +13,10 @@ from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.messages import format_seconds
 from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
-from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
+from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.records import Record, RecordLayout, require_span
-from sinsjax.records.checks import Finding, StationaryValues, check_stationary, report_anomalies
-from sinsjax.records.layout import Anomaly
+from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
+from sinsjax.records.layout import Finding
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS
@@ -77,7 +77,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             continue
         batch = scenario.batch(number, range(1), blank=stored is None)
         check_plugin(
-            REGISTRY.label(spec.method),
+            f"method {spec.method!r} of {' '.join(PACKAGES[spec.method])}",
             spec.program,
             batch.params.method,
             batch.n_variants,
@@ -126,7 +126,7 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
             f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
-    expected = StationaryValues.with_biases(
+    expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),
@@ -134,7 +134,7 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
         accel_bias_ug=section.accel_bias_ug,
     )
     used, whole, hides_north = _used_spans(study, record), (0, len(record.dv)), ""
-    found: list[tuple[str, Anomaly | Finding]] = [
+    found: list[tuple[str, Finding]] = [
         (record.source, anomaly) for anomaly in report_anomalies(record.anomalies, used)
     ]
     for span in used:

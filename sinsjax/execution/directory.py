@@ -32,7 +32,6 @@ RERUN_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 
 _TUNING = ("tuned.toml", "history.parquet", "grid", "sobol", "evaluation")
 _NAMES = (MANIFEST, STUDY, LOCK, *DATASETS, "figures", "reruns", *_TUNING)
-_SETTINGS = ("study", "study")  # the section [study] in a manifest
 _FIGURE_MARK = b"Software\0sinsjax"  # as `plots.render_png` writes it, before the pixels
 
 
@@ -76,9 +75,9 @@ class Manifest(BaseModel):
     warnings: list[str] = []
     record_latitude_deg: float | None = None
     study: dict[str, Any] = {}
-    draws: int | None = Field(default=None, validation_alias=AliasPath(*_SETTINGS, "draws"))
+    draws: int | None = Field(default=None, validation_alias=AliasPath("study", "study", "draws"))
     external: tuple[str, ...] = Field(
-        default=(), validation_alias=AliasPath(*_SETTINGS, "external")
+        default=(), validation_alias=AliasPath("study", "study", "external")
     )
 
     @classmethod

@@ -198,7 +198,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     memory += _VARIANT_BYTES * variants + _RUN_BYTES * runs
     alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
-    if alternates and study.sequential_keys:
+    if alternates and study.is_active(*keys_acting_as("process", "quantum")):
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _KEPT_BYTES * read_samples * draws
@@ -208,9 +208,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
         memory += _RECORD_BYTES * min(runs * records, max(CHUNK_RECORDS, 2 * records))
     methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
     compile_s = sum(method.compile_s for method in methods) / len(methods)
-    readable = [key for key in _PROCESS_KEYS if study.is_readable(key)]
-    given = {key for key in readable if any(map(np.any, study.coded(key).choices))}
-    if given or not set(readable).isdisjoint(study.drawn_keys):
+    if study.is_active(*_PROCESS_KEYS):
         compile_s += _PROCESS_COMPILE_S
     return Forecast(
         runs=runs,

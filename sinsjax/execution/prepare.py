@@ -18,9 +18,8 @@ from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import find_study_file, source_name
-from sinsjax.study.load import load_study, load_with_notes, with_rate
+from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.study import Study
-from sinsjax.study.turns import describe_rounding
 from sinsjax.study.unused_keys import list_idle_keys
 
 
@@ -103,10 +102,9 @@ def load_job(
     runtime.ensure_configured()
     path = None if options.directory is None else directory.results_path(options.directory)
     name, notes = _name_of(source), list[str]()
-    if isinstance(source, Study):
-        study = source.replace(overrides) if overrides else source
-    else:
-        study, notes = load_with_notes(source, overrides or {})
+    study = load_study(source, overrides)
+    if not isinstance(source, Study):
+        notes += list_idle_keys(study)
     checks.refuse_external(study.study.external, name)
     given = reference if record is None else record
     if given is not None and not study.is_recorded:
@@ -172,7 +170,6 @@ def finish_job(job: Job, expected_cost: Forecast) -> Job:
     doubts = job.warnings if study.is_recorded else tuple(checks.study_warnings(study))
     if dropped_s := study.dropped_s:
         notes.append(f"The last {dropped_s:g} s do not fill a record interval and are not run.")
-    notes += describe_rounding(study)
     if study.run_s <= study.study.window_s[0]:
         notes.append(f"Runs that end by {study.study.window_s[0]:g} s have no window statistics.")
     return job._replace(warnings=doubts, notes=tuple(notes), forecast=expected_cost)

@@ -351,10 +351,6 @@ class Results:
         """Return five short lines: runs, axes, method, time and place."""
         return display.format_text(f"Results of {self.study.name}", self._facts())
 
-    def _repr_html_(self) -> str:
-        """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Results of {self.study.name}", self._facts())
-
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
         return ["curves", "directory", "study", "summary", "to_pandas", "to_xarray", "wall_s"]

@@ -8,7 +8,7 @@ import threading
 import pytest
 from rich.console import Console
 
-from sinsjax.cli import progress
+from sinsjax.cli import running
 from sinsjax.execution.progress import RunProgress, python_progress, show_progress
 
 
@@ -32,8 +32,8 @@ def test_first_signal_requests_stop_and_second_exits(
 
     ended, screen = list[int](), Console(file=Busy(), width=200)
     handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-    monkeypatch.setattr(progress.os, "_exit", ended.append)
-    with pytest.raises(ZeroDivisionError), progress.stop_on_signal(screen) as stop:
+    monkeypatch.setattr(running.os, "_exit", ended.append)
+    with pytest.raises(ZeroDivisionError), running.stop_on_signal(screen) as stop:
         assert not stop.is_set()
         screen.print("the first line")
         assert stop.wait(60) and not ended

@@ -1,42 +1,53 @@
-"""The params of a filter from [filter], [resets], [alignment] and [passes]."""
+"""A filter as a method, and its params from [filter], [resets], [alignment] and [passes]."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sinsjax.methods.filters import keys as filter_keys
-from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, ProcessNoise
-from sinsjax.methods.filters.loop import FilterParams
+from sinsjax.methods.filters.keys import (
+    ACCEL_NOISE,
+    BIAS_KEYS,
+    FILTER_COLUMNS,
+    GYRO_NOISE,
+    FilterSection,
+    ProcessNoise,
+    ResetsSection,
+    StateKind,
+    check_resets,
+)
+from sinsjax.methods.filters.loop import Filter, FilterParams, closed_loop
 from sinsjax.methods.filters.triggers import TriggerParams
-from sinsjax.methods.method import StudyKeys
+from sinsjax.methods.method import Method, Options, StudyKeys
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets
 from sinsjax.units import si_factor
 from sinsjax.value_types import keys_of
 
-
-class StateKind(NamedTuple):
-    """What [filter] and [resets] say of one kind of state.
-
-    Attributes:
-        name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
-            reset; None if ``variance`` gives both.
-        q: its process noise; None of a constant state.
-    """
-
-    name: str | None
-    q: ProcessNoise | None
-    variance: float = 0.0
+LOOP_KEYS = (
+    *("feedback_interval_s", "feedback_time_constant_s"),
+    *("turn_covariance", "turn_inflation"),
+)
+"""The keys of [alignment] and [passes] that act on every filter."""
 
 
-VELOCITY = StateKind("velocity_m_per_s", ACCEL_NOISE)
-LEVEL = StateKind("level_deg", GYRO_NOISE)
-HEADING = StateKind("yaw_deg", GYRO_NOISE)
-DIRECTION = StateKind(None, GYRO_NOISE, variance=0.5)
-"""Sine or cosine of an unknown heading: all headings are equally likely."""
-ACCEL_BIAS = StateKind("accel_bias_ug", None)
-GYRO_BIAS = StateKind("gyro_bias_deg_per_h", None)
+def filter_method(
+    states: Sequence[StateKind], build: Callable[[Options], Filter], **parts: Any
+) -> Method:
+    """Return the method of a filter in closed loop, by default one without sensor bias states."""
+    usual: dict[str, Any] = {
+        "params": partial(filter_params, states),
+        "sections": {"filter": FilterSection, "resets": ResetsSection},
+        "reads": LOOP_KEYS,
+        "without_effect": BIAS_KEYS,
+        "turning": "none",
+        "rules": (check_resets,),
+        "columns": FILTER_COLUMNS,
+    }
+    return Method(
+        build=lambda options: closed_loop(states, build(options), options), **usual | parts
+    )
 
 
 def filter_params(
@@ -81,7 +92,7 @@ def _process_noise(keys: StudyKeys, noise: ProcessNoise) -> Any:
     readings = filter_keys.q_unit_factors(1 / keys.rate_hz)
     given = next((form for form in noise.forms if keys.common(form) is not None), None)
     if given is None:
-        white = keys.compute(partial(noise.density, keys.rate_hz), *keys_of(noise.density))
+        white = keys.compute(partial(noise.density, keys.rate_hz), *noise.white)
         return (white * si_factor(noise.key, keys.micro_g)) ** 2 * readings["psd"]
     reading = keys.compute(readings.__getitem__, "q_reading")
     return keys.si(given) ** 2 * reading
