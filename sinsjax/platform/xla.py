@@ -103,25 +103,15 @@ def merge_options(flags: str, options: Mapping[str, str]) -> str:
     """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
 
     Args:
-        flags: the user's value. Every flag and extra option in it is kept unchanged.
-        options: options to set.
-
-    Returns:
-        The new value. Extra options are appended to an existing ``--xla_backend_extra_options``.
+        flags: the user's value, which is kept unchanged.
+        options: options to set; XLA collects the extra ones from several flags.
     """
     present = parse_flags(flags)
     missing = {name: f"{name}={options[name]}" for name in options if name not in present}
-    plain = [f"--{text}" for name, text in missing.items() if name in _PLAIN]
-    extra = ",".join(text for name, text in missing.items() if name not in _PLAIN)
-    existing = [m for m in _FLAG.finditer(flags) if m[1] == EXTRA_FLAG]
-    if extra and existing:
-        value = existing[-1][2]
-        end = existing[-1].end() - (value[-1:] in {'"', "'"})
-        comma = "," if value.strip("\"'") else ""
-        flags = flags[:end] + comma + extra + flags[end:]
-    elif extra:
-        plain.append(f"--{EXTRA_FLAG}={extra}")
-    return " ".join([flags.strip(), *plain]).strip()
+    added = [f"--{text}" for name, text in missing.items() if name in _PLAIN]
+    if extra := ",".join(text for name, text in missing.items() if name not in _PLAIN):
+        added.append(f"--{EXTRA_FLAG}={extra}")
+    return " ".join([flags.strip(), *added]).strip()
 
 
 def apply_options() -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -17,6 +16,7 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import columns
 from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
 from sinsjax.execution.directory import read_manifest
@@ -29,9 +29,8 @@ FROM_FLOOR = {"judged_from": "floor", "dwell_s": 0.0}
 """A study that judges from the bias floor."""
 
 
-def summary_of(study: Study, *given: Any, has_truth: bool = True, **named: Any) -> pa.Table:
-    """Return the summary of a chunk of results, see `support.chunks.chunk`."""
-    rows = given[0] if named == {} and len(given) == 1 else chunk(*given, **named)
+def summary_of(study: Study, rows: Chunk, *, has_truth: bool = True) -> pa.Table:
+    """Return the summary of a chunk of results."""
     builder = tables.TableBuilder(study, has_truth=has_truth)
     return builder.summary_table(rows, np.arange(study.n_variants))
 
@@ -42,14 +41,14 @@ def test_summary_gives_settling_times_and_status_per_run() -> None:
     )
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
-    table = summary_of(study, [-21.0, -5.0, 700.0, np.nan], outside)
+    table = summary_of(study, chunk([-21.0, -5.0, 700.0, np.nan], outside))
     assert table["settle_60_s"].to_pylist() == [0.0, 2.0, None, None]
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
     assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
-    broken = summary_of(study, [0.0], [[6.0, 6.0, 6.0]], yaw=np.nan)
+    broken = summary_of(study, chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan))
     assert broken["status"].to_pylist() == ["nonfinite"]
 
 
@@ -75,7 +74,7 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     study = small_study(study=FROM_FLOOR, motion=STILL, passes={"stored_s": 2.0}, axes=axes)
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
-    table = summary_of(study, [-21.0] * 4, outside)
+    table = summary_of(study, chunk([-21.0] * 4, outside))
     for band, settled, data in (
         (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
         (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
@@ -85,7 +84,7 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
         assert table[f"settle_{band}_data_s"].to_pylist() == data
     assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
     study = small_study(passes={"stored_s": 2.0})
-    table = summary_of(study, [0.0], [[0.0] * 3], has_truth=False)
+    table = summary_of(study, chunk([0.0], [[0.0] * 3]), has_truth=False)
     assert table["settle_10_data_s"].null_count == 1
     needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_s", "floor_arcmin", "nees", "status")
     assert all(table[name].null_count == 1 for name in needing)
