@@ -261,16 +261,19 @@ def report(
 
 def info() -> None:
     """Show versions, devices, compiler options and the folder of compiled programs."""
-    from sinsjax.study.keys import REGISTRY  # without plug-ins that clash with keys of a study
+    from sinsjax.study.keys import (  # without plug-ins that clash with keys of a study
+        BROKEN,
+        PACKAGES,
+    )
 
     runtime.configure()
     runtime.start_backend()
     entries = runtime.info()
     entries["options"] = ", ".join(f"{key} = {value}" for key, value in entries["options"].items())
-    methods = (f"{name} ({' '.join(package)})" for name, package in REGISTRY.packages.items())
+    methods = (f"{name} ({' '.join(package)})" for name, package in PACKAGES.items())
     more = {
         "plug-in methods": ", ".join(methods),
-        "not usable": "; ".join(REGISTRY.broken.values()),
+        "not usable": "; ".join(BROKEN.values()),
     }
     for key, value in (entries | {key: value for key, value in more.items() if value}).items():
         print_line(plain_console(), f"{key:>20}  {value}")

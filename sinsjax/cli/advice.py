@@ -49,7 +49,7 @@ def advise(
     motion: Annotated[
         str | None,
         typer.Option(
-            help="Vehicle motion, in place of [motion]: still, sway or surge.",
+            help="Vehicle motion, in place of [motion]: still, rocking or surging.",
             metavar="NAME",
         ),
     ] = None,
@@ -64,7 +64,7 @@ def advise(
 ) -> None:
     """Predict from a data sheet how well an IMU finds north, its limits, and recommended settings.
 
-    Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion sway
+    Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion rocking
     """
     from sinsjax.advice.advise import advise as advise_on
     from sinsjax.advice.sheet import describe_sheets

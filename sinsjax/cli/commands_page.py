@@ -10,7 +10,7 @@ from sinsjax.cli import COMPARE, LOOK, RUN, SET_UP, app
 _INTRODUCTION = (
     "`sinsjax COMMAND -h` prints these, `sinsjax --version` the version;"
     " `sinsjax --install-completion` completes commands, studies and keys in the shell. A mistake"
-    " is one line ([messages](messages.md)) and exit code 2; an interrupted study ends with exit"
+    " is one line and exit code 2; an interrupted study ends with exit"
     " code 130, and `--resume` continues it."
 )
 

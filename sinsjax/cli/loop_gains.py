@@ -34,14 +34,12 @@ def gain_tables(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _loop_row(
-            "level", level_sigma, damping, loops.roots(loops.level_polynomial(level, **earth))
-        ),
+        _loop_row("level", level_sigma, damping, loops.roots(loops.level_matrix(level, **earth))),
         _loop_row(
             "azimuth",
             azimuth_sigma,
             damping,
-            loops.roots(loops.azimuth_polynomial(azimuth, **earth)),
+            loops.roots(loops.azimuth_matrix(azimuth, **earth)),
         ),
     ]
     return [

@@ -2,21 +2,15 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from sinsjax.console import plain_console, print_line
 
-
-def _find_study(context: Any, path: Path) -> Path:
+def _find_study(path: Path) -> Path:
     from sinsjax.study import files
 
-    found = files.find_study_file(path)
-    if not context.resilient_parsing:  # a shell that completes words reads the output
-        for line in files.describe_shadowed_study(path):
-            print_line(plain_console(), line)
-    return found
+    return files.find_study_file(path)
 
 
 def completes(list_names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:

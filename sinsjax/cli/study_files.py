@@ -150,23 +150,22 @@ def validate(config: Config, changes: Changes = None) -> None:
 
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     """Return the planned runs of a study and their cost: steps, time, memory and disk."""
-    from sinsjax.execution import checks
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
-    from sinsjax.study.load import load_with_notes
-    from sinsjax.study.turns import describe_rounding
+    from sinsjax.study.load import load_study
+    from sinsjax.study.unused_keys import list_idle_keys
     from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes or ())
-    study, notes = load_with_notes(config, overrides)
+    study = load_study(config, overrides)
     if study.tune:
         summary = f"tunes {', '.join(study.tune.variables)}"
     else:
         draws = "start times" if study.is_recorded else "draws"
         summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{source_name(config)}: valid; {summary}.", *notes]
+    lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
     if study.tune:
@@ -178,13 +177,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     steps = expected.length_s * study.rate_hz
     lines.append(f"{expected.describe(runtime.usable_cores())}.")
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
-    lines += describe_rounding(study)
-    describe = (
-        checks.describe_process_noise,
-        checks.describe_measurement_noise,
-        checks.describe_feedback_interval,
-    )
-    lines += [f"{line}." for line in (text(study) for text in describe) if line]
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 
@@ -219,18 +211,7 @@ def keys(
             print_line(console, f"    {key.meaning}", wrap=True)
 
 
-def schedule(
-    config: Config,
-    changes: Changes = None,
-    study_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--study",
-            help="Also write the study with this schedule there.",
-            metavar="FILE",
-        ),
-    ] = None,
-) -> None:
+def schedule(config: Config, changes: Changes = None) -> None:
     """Compute by the law when to reset a study's filter, and predict its settling time.
 
     Example: sinsjax schedule paper1_resets
@@ -239,16 +220,9 @@ def schedule(
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
 
-    if study_file is not None:
-        require_new(study_file)
     study, console = load_study(config, parse_changes(changes or ())), plain_console()
     for line in reset_plan.describe_plans(study):
         print_line(console, line, wrap=True)
-    if study_file is None:
-        return
-    with atomic_write(study_file) as file:
-        file.write(reset_plan.with_law(study).encode())
-    print_line(console, f"{study_file} written; `sinsjax sweep {study_file} -o out` runs it.")
 
 
 def require_new(study_file: Path) -> None:

@@ -85,10 +85,6 @@ class TuningResults:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
         return display.format_text(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
-    def _repr_html_(self) -> str:
-        """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Tuning of {self._tuning.search_study.name}", self._facts())
-
     def _facts(self) -> dict[str, str]:
         point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())
         score, baseline = map(format_estimate, (self.score, self.baseline))
@@ -149,7 +145,7 @@ def tune(
         True
     """
     options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options), tunes=True)
+    job = issue_warnings(prepare_tuning(study, None, record, None, options))
     name = job.study.name
     run_tuning(job, lambda search: python_progress(f"{name}: {search}", progress), stop)
     assert job.directory is not None

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
@@ -80,20 +79,6 @@ class SearchResult(NamedTuple):
     def relaxed_evaluations(self) -> list[Evaluation]:
         """The relaxed evaluations, those of descents."""
         return [e for e in self.evaluations if e.sharpness is not None]
-
-    @property
-    def best_by_cost(self) -> tuple[NDArray, NDArray, bool]:
-        """Cost and best objective so far, and whether that is relaxed.
-
-        Descents have the best of all of them at each step.
-        """
-        if not (relaxed := self.relaxed_evaluations):
-            cost, scores = np.array([(e.cost, e.objective) for e in self.evaluations]).T
-            return cost, np.minimum.accumulate(scores), False
-        steps: dict[int, float] = {}
-        for e in relaxed:
-            steps[e.cost] = min(e.objective, steps.get(e.cost, np.inf))
-        return np.array([*steps]), np.array([*steps.values()]), True
 
     def point(self, space: SearchSpace) -> TomlTable:
         """Return the keys and values of the best point."""

@@ -22,9 +22,9 @@ from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import study_from_dict, study_to_tables
+from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Study
+from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import Sweep
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult

@@ -173,7 +173,7 @@ def test_odd_results_are_refused_in_one_line(sinsjax: Command, command: str) -> 
 def test_rerun_refuses_summary_with_two_rows_of_one_run(sinsjax: Command) -> None:
     store_results(Path("out"), small_study(), pa.table({"run_id": [0, 0, 1, 1]}))
     code, _, error = sinsjax("rerun", "out", "--run-id", 1)
-    assert code == 2 and error.startswith("error: out/summary: has 2 rows of run 1: a foreign part")
+    assert code == 2 and error.startswith("error: out: has 2 rows of run 1 (")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
@@ -269,7 +269,7 @@ def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
     def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sinsjax.execution.prepare.load_with_notes", interrupted)
+    monkeypatch.setattr("sinsjax.execution.prepare.load_study", interrupted)
     line = "interrupted: stored results are kept\n"
     assert sinsjax("sweep", "reset_sweep", "-o", "out") == (130, "", line)
 

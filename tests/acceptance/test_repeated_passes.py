@@ -65,7 +65,7 @@ def test_stored_times_and_pass_numbers_follow_passes(
 ) -> None:
     """Times by hand."""
     study = repeating(passes=passes, **QUICK)
-    (span,) = set(study.spans)
+    (span,) = set(study.lengths.to_list())
     updates = list(range(1, len(stored_times_of) + 1))
     assert study.update_times(span).tolist() == updates
     assert study.stored_times(span).tolist() == stored_times_of
@@ -215,7 +215,7 @@ def test_pass_longer_than_record_is_refused() -> None:
     study = study_from_dict(recorded(stored_s=11.0))
     with pytest.raises(InputError) as caught:
         (batches_of(study, StoredRecord(record(), None)))
-    line = "has 20 s, but 17 s from start_s = 4 need 21 s"
+    line = "has 20 s, but from start_s = 4 the study needs 17 s, up to 21 s"
     assert str(caught.value) == f"{record().source}: {line}"
 
 

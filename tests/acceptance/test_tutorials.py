@@ -80,14 +80,14 @@ def test_start_tutorial_commands_run_with_expected_output(
     assert Path("first/figures/settling_time.png").exists()
 
 
-def test_own_imu_tutorial_prints_documented_numbers(
+def test_advice_page_prints_documented_numbers(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
-    (shown,) = (text for language, text in blocks("own_imu.md") if language == "text")
+    told = typed("advise.md", command, capsys, progress=True, saved="imu.toml")
+    (shown,) = (text for language, text in blocks("advise.md") if language == "text")
     assert told[0].split() == shown.split()  # the page has other line breaks
     assert "confirm.toml written" in told[1]
-    page = (ROOT / "docs" / "own_imu.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "advise.md").read_text(encoding="utf-8")
     number = r"([\d.]+) \[([\d.]+), ([\d.]+)\]"
     rows = re.findall(rf"^\| \d+ s \| ([\d.]+) \| {number} \|$", page, re.MULTILINE)
     found = [list(map(float, line.split())) for line in told[3].splitlines()]
@@ -115,10 +115,10 @@ def test_own_record_tutorial_finds_expected_heading(
 def test_two_position_tutorial_finds_documented_heading(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = typed("two_positions.md", command, capsys, progress=True)
+    told = typed("turning.md", command, capsys, progress=True)
     assert "two_positions.toml written" in told[1] and "two_positions.toml: valid" in told[2]
     assert told[-1].splitlines() == ["214.9 26 1.0", "[1.0, 1.0]"]
-    page = (ROOT / "docs" / "two_positions.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "turning.md").read_text(encoding="utf-8")
     assert "214.9 deg with a 1 sigma of 26 arcmin" in page
 
 
