@@ -25,17 +25,11 @@ _FIRST, _CYCLE, _HEADING = "reset_first_s", "reset_cycle_s", "phi_u0_deg"
 
 
 def law_point(study: Study, number: int = 0) -> NDArray | None:
-    """Return the box point with the reset schedule by the law, clipped to the ranges; (p,).
+    """Return the reset schedule by the law as positions in the ranges, 0 to 1, clipped; (p,).
 
-    It has as many resets as the point has times, or as are counted. If filters or places differ, it
-    is the schedule of the slowest. None if no variable is one of a schedule, or the law has none.
-
-    Args:
-        study: study with [tune].
-        number: number of the combination of candidates.
-
-    Returns:
-        Positions of the variables in their ranges, 0 to 1; NaN for unused variables.
+    It has as many resets as a combination of candidates has times, or as are counted. If filters or
+    places differ, it is the schedule of the slowest. Unused variables are NaN. None if no variable
+    is one of a schedule, or the law has none.
     """
     assert study.tune is not None
     space = SearchSpace.from_study(study)
@@ -67,12 +61,7 @@ def _set_values(space: SearchSpace, values: list[float], by_key: TomlTable) -> N
 
 
 def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> TomlTable:
-    """Return the values of the keys of schedules by the law.
-
-    Args:
-        study: study with [tune].
-        point: the study at a point of the combination, with any schedule.
-        combination: candidates and fixed values.
+    """Return the values of the keys of schedules by the law, from a point with any schedule.
 
     Raises:
         InputError: no method has the law, or a key that it needs is drawn, swept or missing.
@@ -90,13 +79,8 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
     bound_deg = _largest_heading_deg(study)
     bounds = {} if bound_deg is None else {"heading_bound_deg": bound_deg}
     schedules = [
-        schedule_with(
-            reset_problem(study.rate_hz, values),
-            values["heading_bound_deg"] * DEG,
-            band,
-            resets,
-        )
-        for _, values in iter_filters(point, **bounds)
+        schedule_with(reset_problem(study.rate_hz, v), v["heading_bound_deg"] * DEG, band, resets)
+        for _, v in iter_filters(point, **bounds)
     ]
     times_s = max(schedules, key=lambda found: found.settling_s).times_s
     if resets > 1 and (_FIRST in keys or _only_value(point, _FIRST) is not None):

@@ -62,11 +62,7 @@ class Tuning(Results):
 
     @classmethod
     def read(cls, directory: str | Path, *, whole_draws: bool = False) -> "Tuning":
-        """Read a tuning run.
-
-        Args:
-            directory: directory of the tuning run.
-            whole_draws: has no effect, since an unfinished evaluation is refused.
+        """Read a tuning run; ``whole_draws`` has no effect, as an unfinished one is refused.
 
         Raises:
             InputError: it is not complete, cannot be read, or ``study.toml`` or ``tuned.toml`` has
@@ -109,18 +105,18 @@ class Tuning(Results):
     @cached_property
     def run_values(self) -> NDArray:
         """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
-        table = self.rows(objective.summary_columns(self.tune, self.search_study))
-        return search.point_values(self.search_study, self.study, table)
+        return self._values_for(self.search_study)
 
     @cached_property
     def unsettled(self) -> NDArray | None:
         """(cases, variants, draws) whether runs never settle, if the objective is a time."""
         if not self.tune.objective.startswith("settle_"):
             return None
-        never = self.tune.model_copy(update={"objective": "failure_rate"})
-        study = self.search_study.model_copy(update={"tune": never})
-        table = self.rows(objective.summary_columns(never, study))
-        return search.point_values(study, self.study, table) > 0
+        return self._values_for(self.search_study.replace({"tune.objective": "failure_rate"})) > 0
+
+    def _values_for(self, study: Study) -> NDArray:
+        table = self.rows(objective.summary_columns(require_tune(study), study))
+        return search.point_values(study, self.study, table)
 
     def settled_share(self, name: str) -> Estimate | None:
         """Return the share of a candidate's runs on the unused draws that settle.
@@ -178,29 +174,25 @@ class Tuning(Results):
     def score(self, name: str) -> Estimate:
         """Return the objective of a candidate on the unused draws."""
         runs = self.run_values[self.case_numbers[name]]
-        return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]), runs.shape[1])
+        return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]))
 
     def difference(self, name: str, other: str | None = None) -> Estimate:
         """Return the objective less that of another candidate, or of the rival, on equal draws."""
-        names = (name, other or self.rival)
-        runs, other_runs = (self.run_values[self.case_numbers[candidate]] for candidate in names)
+        one, two = (self.run_values[self.case_numbers[n]] for n in (name, other or self.rival))
         return self._estimate(
             lambda pick: (
-                objective.score(self.tune, runs[:, pick])
-                - objective.score(self.tune, other_runs[:, pick])
-            ),
-            runs.shape[1],
+                objective.score(self.tune, one[:, pick]) - objective.score(self.tune, two[:, pick])
+            )
         )
 
-    def _estimate(self, score: Callable[[NDArray], float], draws: int) -> Estimate:
+    def _estimate(self, score: Callable[[NDArray], float]) -> Estimate:
         """Return a score with its bootstrap interval over the draws; none on a record."""
-        every = np.arange(draws)
-        if self.search_study.is_recorded:
-            return Estimate(score(every), math.nan, math.nan, draws)
-        low, high = bootstrap_interval(
-            lambda picks: np.array([score(pick) for pick in picks]), every
-        )
-        return Estimate(score(every), low, high, draws)
+        every, low, high = np.arange(self.run_values.shape[2]), math.nan, math.nan
+        if not self.search_study.is_recorded:
+            low, high = bootstrap_interval(
+                lambda picks: np.array([score(pick) for pick in picks]), every
+            )
+        return Estimate(score(every), low, high, len(every))
 
 
 def _incomplete_error(directory: Path) -> InputError:

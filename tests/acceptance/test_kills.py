@@ -1,17 +1,17 @@
 """Sweeps in separate processes that are killed, stopped and disturbed, and lose nothing."""
 
+import os
 import random
 import re
 import shutil
 import signal
 import subprocess
-import tempfile
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.killed_commands import KilledCommand
 from support.studies import small_study
 from support.sweep_directories import (
     CHUNK_RUNS,
@@ -28,6 +28,7 @@ from sinsjax.study.load import study_to_toml
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
+ROOT = Path(__file__).parents[2]
 RECORDS = 3.0
 STUDY = small_study(
     study={"draws": 160, "duration_s": RECORDS, "window_s": [0, RECORDS], "curves": True},
@@ -57,58 +58,57 @@ NAMED = (
 
 
 class Sweeps:
-    """Starter of sweeping processes, each prepared while the previous one runs."""
+    """Starter of sweeping processes into one directory."""
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.out, self._folder = out, folder
-        self._environment = {compile_cache.VARIABLE: str(folder / "cache")}
         self.study = folder / "study.toml"
         self.study.write_text(study_to_toml(STUDY))
-        self._all: list[KilledCommand] = []
+        self._all: list[subprocess.Popen] = []
 
-    def ready(
+    def start(
         self,
-        point: tuple[str, str, int] = NEVER,
         *options: str,
+        point: tuple[str, str, int] = NEVER,
         how: str = "--resume",
         pause_s: float = 0.0,
-    ) -> KilledCommand:
-        """A process that waits for `go`."""
+    ) -> subprocess.Popen:
+        """Return a sweeping process that is killed at a point."""
         words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
-        said = Path(tempfile.mkdtemp(dir=self._folder)) / "output"
-        process = KilledCommand(
-            [str(word) for word in words], self._environment, said, point=point, pause_s=pause_s
+        paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
+        environment = {compile_cache.VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "support.killed_commands", *map(str, (*point, pause_s, *words))],
+            env=os.environ | environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         self._all.append(process)
         return process
 
-    def ended(self, process: KilledCommand) -> tuple[int, str, str]:
-        """Return exit code, output and error output of a process that ends by itself."""
-        return exit_code(process), *process.read_output()
-
     def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
         """Run a sweep to its end."""
-        return self.ended(self.ready(NEVER, *options, how=how).proceed())
+        return ended(self.start(*options, how=how))
 
     def close(self) -> None:
         """End the remaining processes."""
         for process in self._all:
-            process.close()
+            process.kill()
+            process.communicate()
 
 
-def exit_code(process: KilledCommand) -> int:
-    """Return the exit code of a process that ends by itself."""
-    process.process.join(DEADLINE_S)
-    code = process.process.exitcode
-    assert code is not None, process.read_output()
-    return code
+def ended(process: subprocess.Popen) -> tuple[int, str, str]:
+    """Return exit code, output and error output of a process that ends by itself."""
+    output, error = process.communicate(timeout=DEADLINE_S)
+    return process.returncode, output, error
 
 
-def wait(process: KilledCommand, until: Callable[[], bool]) -> None:
+def wait(process: subprocess.Popen, until: Callable[[], bool]) -> None:
     """Wait until a process has done something."""
     since = time.monotonic()
     while not until():
-        assert process.process.exitcode is None, process.read_output()
+        assert process.poll() is None, process.communicate()
         assert time.monotonic() < since + DEADLINE_S
         time.sleep(0.002)
 
@@ -177,28 +177,25 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
     chunk_s = read_manifest_entries(whole)["wall_s"] / CHUNKS
     named, kills = iter(NAMED), {"named": 0, "spread": 0}
     order = "nnnn ss n s n s n s n s n s n sss".replace(" ", "")
-    points = [NEVER if kind == "s" else next(named) for kind in order]
     made: dict[str, int] = {}
-    following = sweeps.ready(points[0])
-    for i, point in enumerate(points):
-        process, before, there = following, written(out / "manifest.json"), count(out)
-        process.proceed()
-        following = sweeps.ready(points[i + 1] if i + 1 < len(points) else NEVER, pause_s=0.2)
+    for point in (NEVER if kind == "s" else next(named) for kind in order):
+        before, there = written(out / "manifest.json"), count(out)
+        process = sweeps.start(point=point, pause_s=0.2)
         if point is NEVER:
-            if kills["spread"] == 0:  # while JAX starts
-                time.sleep(0.5)
+            if kills["spread"] == 0:  # while JAX is imported and starts
+                time.sleep(2.0)
             elif kills["spread"] == 1:  # while it compiles
                 wait(process, lambda before=before: written(out / "manifest.json") > before)
             else:
                 wait(process, lambda there=there: count(out) > there)
             time.sleep(chance.uniform(0, chunk_s))
             process.send_signal(signal.SIGKILL)
-        assert exit_code(process) == -signal.SIGKILL, (point, process.read_output())
+        assert ended(process)[0] == -signal.SIGKILL, point
         kills["spread" if point is NEVER else "named"] += 1
         assert_sound(out, whole, made)
     assert kills == {"named": 10, "spread": 10}
     assert count(out) < CHUNKS
-    code, told, error = sweeps.ended(following.proceed())
+    code, told, error = sweeps.sweep()
     assert (code, error) == (0, "")
     assert "runs already done" in told
     assert_sound(out, whole, made)
@@ -209,19 +206,18 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
     """The lock is the operating system's, so it is released however the process dies."""
-    first = sweeps.ready().proceed()
+    first = sweeps.start()
     wait(first, lambda: count(sweeps.out) > 0)
     first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
     before = modification_times(sweeps.out)
-    seconds = [sweeps.ready(), sweeps.ready(how="--overwrite")]
-    for second in seconds:
-        code, _, error = sweeps.ended(second.proceed())
+    for how in ("--resume", "--overwrite"):
+        code, _, error = sweeps.sweep(how=how)
         assert code == 2
         told = rf"error: {sweeps.out}: another process is writing there \(wait .*\)\n"
         assert re.fullmatch(told, error)
     assert modification_times(sweeps.out) == before
     first.send_signal(signal.SIGKILL)
-    assert exit_code(first) == -signal.SIGKILL
+    assert ended(first)[0] == -signal.SIGKILL
     code, _, error = sweeps.sweep()
     assert (code, error) == (0, "")
     assert_complete(sweeps.out, whole)
@@ -230,14 +226,11 @@ def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole
 def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Path) -> None:
     """One signal finishes the running chunks; two end at once, and lose nothing else."""
     out, made = sweeps.out, dict[str, int]()
-    following = sweeps.ready()
     for number in (signal.SIGINT, signal.SIGTERM):
-        process, there = following, count(out)
-        process.proceed()
-        following = sweeps.ready()
+        process, there = sweeps.start(pause_s=0.2), count(out)
         wait(process, lambda there=there: count(out) > there)
         process.send_signal(number)
-        code, told, error = sweeps.ended(process)
+        code, told, error = ended(process)
         assert code == 130
         assert "Stopping after the running chunks" in " ".join(told.split())
         done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
@@ -248,18 +241,16 @@ def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Pa
         assert state["runs_done"] == count(out) * CHUNK_RUNS
         assert not list(out.rglob("*.tmp")) and not (out / "figures").exists()
         assert_sound(out, whole, made)
-    process, there = following, count(out)
-    process.proceed()
-    following = sweeps.ready()
+    process, there = sweeps.start(pause_s=0.2), count(out)
     wait(process, lambda: count(out) > there)
     process.send_signal(signal.SIGSTOP)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCONT):  # the first two come together
         process.send_signal(number)
-    code, _, error = sweeps.ended(process)
+    code, _, error = ended(process)
     assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM) and error == ""
     assert read_manifest_entries(out)["state"] == "running"
     assert_sound(out, whole, made)
-    code, _, error = sweeps.ended(following.proceed())
+    code, _, error = sweeps.sweep()
     assert (code, error) == (0, "")
     assert_sound(out, whole, made)
     assert_complete(out, whole)
@@ -330,8 +321,8 @@ def test_killed_extension_keeps_existing_results(
     out, before = sweeps.out, read_parts(whole)
     shutil.copytree(whole, out)
     there = modification_times(out)
-    process = sweeps.ready(point, "--draws", str(MORE)).proceed()
-    assert exit_code(process) == -signal.SIGKILL, process.read_output()
+    process = sweeps.start("--draws", str(MORE), point=point)
+    assert ended(process)[0] == -signal.SIGKILL
     assert {name: modification_times(out)[name] for name in there} == there
     rows = read_summary(out)
     assert rows["draw_id"].to_numpy().max() >= STUDY.n_draws - 1

@@ -175,34 +175,23 @@ def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> 
     [
         ("settle_mean", "mean"),
         ("settle_quantile", "mean"),
-        ("settle_quantile", "worst"),
         ("final_error", "worst"),
     ],
 )
-def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
-    what: str, across: str
-) -> None:
+def test_relaxed_score_is_near_hard_score(what: str, across: str) -> None:
     study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across=across)
-    tune = study.tune
-    assert tune is not None
+    assert study.tune is not None
     runs = np.random.default_rng(7).random((2, 3, 5)) + 0.5
-    score, slope = objective.relaxed_score(tune, runs)
-    if what != "settle_quantile":
-        ratio = np.divide(score, [objective.score(tune, values) for values in runs])
-        if across == "mean":
-            np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
-        else:  # a power mean of three is below the largest
-            assert np.all((ratio < 1) & (ratio > 3 ** (-1 / 16)))
-    elif across == "mean":
+    score, _ = objective.relaxed_score(study.tune, runs)
+    if what == "settle_quantile":
         quantiles = [mstats.hdquantiles(row, [0.9])[0] for row in runs.reshape(-1, 5)]
         np.testing.assert_allclose(score, np.reshape(quantiles, (2, 3)).mean(axis=1), rtol=1e-9)
-    for place in np.ndindex(runs.shape):
-        moved = np.zeros_like(runs)
-        moved[place] = 1e-6
-        ahead, behind = (objective.relaxed_score(tune, runs + m)[0] for m in (moved, -moved))
-        expected = np.subtract(ahead, behind) / 2e-6
-        got = np.where(np.arange(2) == place[0], slope[place], 0.0)
-        np.testing.assert_allclose(got, expected, atol=2e-9)
+        return
+    ratio = np.divide(score, [objective.score(study.tune, values) for values in runs])
+    if across == "mean":
+        np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
+    else:  # a power mean of three is below the largest
+        assert np.all((ratio < 1) & (ratio > 3 ** (-1 / 16)))
 
 
 # The methods' parameters by the variables
@@ -251,6 +240,14 @@ def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> No
 # The relaxed and the hard objective
 
 
+def hard_scores(study: Study, box: np.ndarray) -> list[float]:
+    """Return the objective at some positions, by ordinary runs."""
+    values = [SearchSpace.from_study(study).to_values(row) for row in box]
+    return search.score_points(
+        study, "hard", [0] * len(values), values, lambda of: run.run(of, curves=False).summary
+    ).scores
+
+
 @pytest.mark.nightly
 def test_relaxed_objective_converges_to_hard_objective() -> None:
     """Three descents and two variants; with gravity the draws share a covariance."""
@@ -266,14 +263,8 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
         objective_band_arcmin=300.0,
         tune_draws=3,
     )
-    space = SearchSpace.from_study(study)
     box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
-    points = {str(i): space.make_point(space.to_values(row), {}) for i, row in enumerate(box)}
-    derived = search.derive_study(study, points, name="hard")
-    table = run.run(derived, curves=False).summary
-    assert study.tune is not None
-    runs = search.point_values(study, derived, table)
-    hard = [objective.score(study.tune, values) for values in runs]
+    hard = hard_scores(study, box)
     slope = Slope(TunedParams(study, {}), starts=3, draws=3)
     softening = (Softness(4.0, 4.0), Softness(2.0, 16.0), Softness(1.0, 64.0))
     off = [np.abs(slope(box, np.arange(3), softness)[0] - hard) for softness in softening]
@@ -285,9 +276,12 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
 # Descents
 
 
-@pytest.fixture(scope="module")
-def down() -> tuple[Study, history.SearchResult]:
-    """Descents of a compass whose loop may be too slow or too fast; every step uses both draws."""
+@pytest.mark.nightly
+def test_descents_decrease_objective_and_stay_in_bounds() -> None:
+    """Of a compass whose loop may be too slow or too fast; every step uses both draws.
+
+    One ends at the global minimum, one at the edge, which is a local minimum.
+    """
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
         {
@@ -303,27 +297,13 @@ def down() -> tuple[Study, history.SearchResult]:
         descent_steps=8,
         descent_draws=2,
     )
-    return study, gradient.descend(study)
-
-
-@pytest.mark.nightly
-def test_descents_decrease_objective_and_stay_in_bounds(
-    down: tuple[Study, history.SearchResult],
-) -> None:
-    """One ends at the global minimum, one at the edge, which is a local minimum."""
-    study, found = down
-    space = SearchSpace.from_study(study)
+    found = gradient.descend(study)
     values = np.array([e.values for e in found.evaluations])
     assert values.min() >= 0.02 and values.max() <= 0.08
     for start in range(2):
         way = [e.objective for e in found.evaluations if e.start == start]
         assert len(way) == 9 and way[-2] < way[0]
-    points = {str(i): space.make_point(space.to_values([i / 40]), {}) for i in range(41)}
-    derived = search.derive_study(study, points, name="scan")
-    table = run.run(derived, curves=False).summary
-    assert study.tune is not None
-    scan = [objective.score(study.tune, v) for v in search.point_values(study, derived, table)]
-    assert found.best.objective < min(scan)
+    assert found.best.objective < min(hard_scores(study, np.linspace(0, 1, 41)[:, None]))
 
 
 def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.MonkeyPatch) -> None:
