@@ -9,7 +9,7 @@ Nothing is omitted silently: a run that never settled counts as an infinite sett
 * standard deviations and root mean squares: on a logarithmic scale, see `_root_interval`; for
   normal values chi-square.
 
-Their coverage is in ``docs/statistics.md``, measured by a nightly test in ``tests/analysis``.
+Their coverage is in ``docs/results.md``, measured by a nightly test in ``tests/analysis``.
 
 The runs of a draw share its noise, and all runs on a record share its sensor biases, and its
 samples where their spans overlap, so they are not independent. All functions take the cluster of

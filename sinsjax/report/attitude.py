@@ -123,7 +123,7 @@ def _bias_floor_fact(source: Results) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
-        latitude_deg = source.record_latitude_deg
+        latitude_deg = source.manifest.record_latitude_deg
     if latitude_deg is None:
         return
     gyro, accel = _EXAMPLES

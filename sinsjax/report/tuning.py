@@ -26,12 +26,11 @@ DOUBLE_RESET_S = 1.0
 
 def build_report(tuning: Tuning) -> Report:
     """Return the candidates on the unused draws, and how the searches found them."""
-    pictures = [*tuning_figures.landscape_pictures(tuning), *tuning_figures.cost_pictures(tuning)]
-    variants = tuning.run_values.shape[1]
-    variants_text = f" × {variants} variants" if variants > 1 else ""
-    study = tuning.search_study
+    study, variants = tuning.search_study, tuning.run_values.shape[1]
     *others, last = (SEARCH_LABELS.get(name, name) for name in tuning.searches)
     searches = f"{', '.join(others)} and {last}" if others else last
+    variants_text = f" × {variants} variants" if variants > 1 else ""
+    pictures = tuning_figures.landscape_pictures(tuning)
     return Report(
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *_caution_facts(tuning)],

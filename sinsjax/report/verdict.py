@@ -280,13 +280,15 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
     if rule := source.study.stop_when if source.whole_draws is None else None:
         rows = source.rows(stopping.required_columns(source.study))
-        found = stopping.analyse_interim(source.study, rows, outcome.n_draws)
-        enough = "narrow enough" if found.is_sufficient else "not narrow enough, but all are drawn"
+        widest, sufficient = (
+            stopping.widest_half_width(source.study, rows, outcome.n_draws),
+            rule.half_width,
+        )
+        enough = "narrow enough" if widest <= sufficient else "not narrow enough, but all are drawn"
         yield Fact(
             "Stopped",
-            f"after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
-            f" variants has a half-width of {found.half_width:.3g}, {enough} (requested:"
-            f" {rule.half_width:g})",
+            f"after {outcome.n_draws:,} draws: the widest interval of {rule.statistic} over the"
+            f" variants has a half-width of {widest:.3g}, {enough} (requested: {sufficient:g})",
         )
 
 
