@@ -16,7 +16,8 @@ samples where their spans overlap, so they are not independent. All functions ta
 each value, see `cluster_ids`, and count clusters instead of values. An interval holds for other
 draws of the same variants: the spread between variants is not a sampling error. One cluster has no
 interval, since the spread between clusters is unknown. An end of an interval is also NaN if there
-are too few values to bound it.
+are too few values to bound it. All functions raise `ValueError` without values, if lengths differ,
+and if a share q of a quantile is not between 0 and 1.
 
 Most of the noise of a draw cancels in a paired difference: its interval is much narrower than the
 two separate intervals suggest.
@@ -125,9 +126,6 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
         flags: shape (n,), bool.
         cluster: shape (n,), integer cluster of each value; None if each is its own.
 
-    Raises:
-        ValueError: no values.
-
     Example:
         Three draws of two runs each, of which one run fails:
 
@@ -162,9 +160,6 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
         values: shape (n,), any unit.
         q: from 0 to 1.
         cluster: shape (n,), integer cluster of each value; None if each is its own.
-
-    Raises:
-        ValueError: no values, or q out of range.
 
     Example:
         >>> never = float("nan")
@@ -263,9 +258,6 @@ def mean(
         cluster: shape (m,), integer cluster of each value; None if each is its own.
         limits: least and largest value possible; the interval ends there, which costs no coverage.
 
-    Raises:
-        ValueError: no values at all.
-
     Example:
         >>> analysis.format_estimate(analysis.mean([1.0, 2.0, 3.0, 4.0]))
         '2.5 [0.4, 4.6]'
@@ -292,9 +284,6 @@ def std(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     Args:
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
-
-    Raises:
-        ValueError: no values at all.
     """
     data, place = _finite_values(values, cluster)
     if data.size < 2:
@@ -318,9 +307,6 @@ def rms(
         values: shape (m,), any unit.
         cluster: shape (m,), integer cluster of each value; None if each is its own.
         max_magnitude: largest magnitude that a value can have; the interval ends there.
-
-    Raises:
-        ValueError: no values at all.
     """
     data, place = _finite_values(values, cluster)
     if data.size == 0:
@@ -382,9 +368,6 @@ def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
         cluster: shape (n,), cluster of each pair, as for `sinsjax.analysis.mean`.
-
-    Raises:
-        ValueError: shapes differ, or no pairs.
     """
     first, second = _paired_arrays(a, b)
     with np.errstate(invalid="ignore"):  # infinite minus infinite, omitted by mean
@@ -403,9 +386,6 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
         a: shape (n,), any unit.
         b: shape (n,), the same draws in the same order.
         q: from 0 to 1.
-
-    Raises:
-        ValueError: shapes differ, no pairs, or q out of range.
     """
     pair = _paired_arrays(a, b, missing=math.inf)
     at = _quantile_index(pair[0].size, q)
@@ -431,9 +411,6 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     Args:
         a: shape (n,), bool: whether a run has the property.
         b: shape (n,), the same draws in the same order.
-
-    Raises:
-        ValueError: shapes differ, or no pairs.
     """
     first, second = (x.astype(bool) for x in _paired_arrays(a, b))
     n = first.size

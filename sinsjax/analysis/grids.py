@@ -80,34 +80,3 @@ def held_out_choices(values: NDArray, choose_best: Callable[[NDArray], int]) -> 
     for choosing, judging in (halves, halves[::-1]):
         chosen[judging] = choose_best(values[..., choosing])
     return chosen
-
-
-class Panel(NamedTuple):
-    """One point of the keys that are no axis of a map, with the grid of its runs."""
-
-    point: dict[str, Any]
-    grid: Grid
-    shape: tuple[int, ...]
-    rows: pa.Table
-
-    def column_values(self, column: str) -> NDArray:
-        """A column, (draws, rows, columns); null is NaN."""
-        return np.moveaxis(self.grid.column(column), -1, 0)
-
-
-def split_into_panels(
-    table: pa.Table, row_key: str, column_key: str, panel_keys: Sequence[str] = ()
-) -> tuple[dict[str, tuple[Any, ...]], list[Panel]]:
-    """The axes of a grid over two keys, and its panels for each point of further keys."""
-    grid = Grid.from_table(table, panel_keys, (row_key,), (column_key,))
-    axes = {key: tuple(value for (value,) in grid.axes[key,]) for key in (row_key, column_key)}
-    panels = [
-        Panel(
-            dict(zip(panel_keys, point, strict=True)),
-            grid._replace(rows=rows),
-            rows.shape[:-1],
-            table.take(np.moveaxis(rows, -1, 0).ravel()),
-        )
-        for point, rows in zip(grid.axes[tuple(panel_keys)], grid.rows, strict=True)
-    ]
-    return axes, panels

@@ -370,10 +370,3 @@ def _share_difference(a: Sequence[NDArray], b: Sequence[NDArray]) -> Estimate:
 def _closer(a: Sequence[NDArray], b: Sequence[NDArray]) -> Estimate:
     """The difference of two distances of window means from their floors."""
     return mean_difference(*(np.abs(yaw - floor) for yaw, floor in (a, b)))
-
-
-def read_estimate(row: Mapping[str, Any], name: str) -> Estimate:
-    """A statistic in a row of `summarise`; NaN where it is unknown."""
-    ends = (row[f"{name}{end}"] for end in _INTERVAL)
-    value, low, high = (math.nan if end is None else end for end in ends)
-    return Estimate(value, low, high, row["n"])

@@ -70,15 +70,7 @@ def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArra
 
 
 def paired_row_indices(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
-    """The rows of two tables in ascending order of ``draw_id``.
-
-    Args:
-        a: one row per draw.
-        b: the same draws, in any order.
-
-    Raises:
-        InputError: no ``draw_id``, a repeated draw, or draws that differ.
-    """
+    """The rows of two tables in ascending order of ``draw_id``; raises as `pair_by_draw`."""
     (draws, first), (others, second) = (
         np.unique(numeric_column(t, "draw_id"), True) for t in (a, b)
     )

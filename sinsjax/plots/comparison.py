@@ -1,6 +1,5 @@
 """Statistics over the draws along one swept key: `sinsjax.plot_compare`."""
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from textwrap import fill
@@ -10,8 +9,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from sinsjax.analysis import Estimate, group_rows, summarise
-from sinsjax.analysis.summaries import read_estimate
+from sinsjax.analysis import UNKNOWN, Estimate, estimate_groups, group_rows
 from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.plots.labels import axis_label, describe_axis_point, describe_point, format_value
 from sinsjax.plots.style import (
@@ -34,7 +32,6 @@ _DODGE = 0.008  # share of the axis by which the marks of two lines are offset t
 _WIDE = 12  # letters of a label that does not fit next to others
 _SIMILAR = 0.1  # of a panel's largest value: a panel that differs by less is left out
 _RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
-_NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan, 0)
 
 
 def plot_compare(
@@ -87,20 +84,21 @@ def build_comparison_panels(
     """The values of a key and the panels of `plot_compare`, with the same arguments."""
     table = to_arrow_table(runs)
     titles = _default_statistics(table) if statistics is None else dict(statistics)
-    rows_by_line = {
-        describe_point(point): summarise(rows, [key], list(titles)).to_pylist()
+    groups_by_line = {
+        describe_point(point): estimate_groups(rows, [key], list(titles)).groups
         for point, rows in islice(group_rows(table, by), MAX_LINES)
     }
     values: list[Any] = []
-    for rows in sorted(rows_by_line.values(), key=lambda rows: -len(rows)):
-        values += [row[key] for row in rows if row[key] not in values]
+    for groups in sorted(groups_by_line.values(), key=lambda groups: -len(groups)):
+        values += [point[key] for point, _ in groups if point[key] not in values]
     panels: dict[str, Panel] = {}
     for statistic, words in titles.items():
         lines = {}
-        for name, rows in rows_by_line.items():
-            at = {values.index(row[key]): _read_estimate(row, statistic) for row in rows}
+        for name, groups in groups_by_line.items():
+            at = {values.index(point[key]): found[statistic] for point, found in groups}
             # A schedule by the law of resets has other times at each value: a line for each.
-            lines[name] = [at.get(place, _NO_ESTIMATE) for place in range(len(values))]
+            line = [at.get(place, UNKNOWN) for place in range(len(values))]
+            lines[name] = [_in_percent(one) if statistic.endswith("_rate") else one for one in line]
         panels[words] = lines
     return values, _select_informative(panels) or dict(list(panels.items())[-1:])
 
@@ -135,13 +133,8 @@ def _default_statistics(table: pa.Table) -> dict[str, str]:
     return found | {"phi_u_arcmin_rms": "heading error at the end, rms (arcmin)"}
 
 
-def _read_estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
-    """A statistic in a row of `summarise`, shares in percent."""
-    found = read_estimate(row, statistic)
-    if not statistic.endswith("_rate"):
-        return found
-    value, low, high = (100 * number for number in found[:3])
-    return Estimate(value, low, high, found.n)
+def _in_percent(share: Estimate) -> Estimate:
+    return Estimate(100 * share.value, 100 * share.low, 100 * share.high, share.n)
 
 
 def _select_informative(panels: Mapping[str, Panel]) -> dict[str, Panel]:

@@ -14,8 +14,8 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from sinsjax.analysis.grids import median_over_draws, split_into_panels
-from sinsjax.analysis.tables import group_rows, require_column, to_arrow_table, to_key_list
+from sinsjax.analysis.grids import Grid, median_over_draws
+from sinsjax.analysis.tables import require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.labels import (
     axis_label,
@@ -47,7 +47,7 @@ class CellStatistic(NamedTuple):
     Attributes:
         kind: "time" of settling, "share" in percent, or "rms".
         name: label of the colour bar, with its unit.
-        compute: function of values (draws, rows, columns) that returns (rows, columns).
+        compute: function of values (..., draws) over the draws.
     """
 
     kind: str
@@ -115,16 +115,17 @@ def plot_map(  # noqa: PLR0913
     if not table.num_rows:
         raise InputError("plot_map: there are no runs")
     by = to_key_list(by)
-    axes, grids = split_into_panels(table, rows, columns, by)
+    grid = Grid.from_table(table, by, (rows,), (columns,))
+    axes = {key: [value for (value,) in grid.axes[key,]] for key in (rows, columns)}
+    points = [dict(zip(by, point, strict=True)) for point in grid.axes[tuple(by)]][:MAX_PANELS]
     statistic = _cell_statistic(require_column(table, value), value)
     chosen = [key for key in by if pooled is not None and key not in pooled]
     best_title, best_point = _best_cell_overall(table, axes, value, statistic, chosen)
-    grids = grids[:MAX_PANELS]
-    cells = [statistic.compute(grid.column_values(value)) for grid in grids]
-    flags = [grid.column_values(hatched) for grid in grids] if hatched else []
-    marked = [2 * np.nansum(runs, axis=0) > np.isfinite(runs).sum(axis=0) for runs in flags]
-    width = min(4, len({format_value(grid.point[by[-1]]) for grid in grids}) if by else 1)
-    height = -(-len(grids) // width)
+    cells = statistic.compute(grid.column(value))[:MAX_PANELS]
+    flags = grid.column(hatched) if hatched else np.full(grid.rows.shape, np.nan)
+    marked = (2 * np.nansum(flags, axis=-1) > np.isfinite(flags).sum(axis=-1))[:MAX_PANELS]
+    width = min(4, len({format_value(point[by[-1]]) for point in points}) if by else 1)
+    height = -(-len(points) // width)
     side = max(2.3, 7.2 / width)  # width of a panel, in; together as wide as the title
     wide, tall = side * width + 2.0, 3.0 * height + 1.3
     up, across = ([_tick_label(key, v) for v in values] for key, values in axes.items())
@@ -144,30 +145,29 @@ def plot_map(  # noqa: PLR0913
         "viridis" if statistic.kind == "share" else "viridis_r",  # light is good
         1 if statistic.kind == "rms" and high < 100 else 0,
     )
-    titles, legend = _panel_titles([grid.point for grid in grids]), {}
-    for number, (place, grid) in enumerate(zip(places.flat, grids, strict=False)):
-        hatch = marked[number] if marked else np.zeros(grid.shape, bool)
-        image = _draw_cells(place, cells[number], hatch, style)
+    titles, legend = _panel_titles(points), {}
+    for number, (place, point) in enumerate(zip(places.flat, points, strict=False)):
+        image = _draw_cells(place, cells[number], marked[number], style)
         place.set_title(fill(titles[number], int(_LETTERS * side)))
         # In every panel that the named cell is in.
-        if best_point and all(best_point.get(key, at) == at for key, at in grid.point.items()):
+        if best_point and all(best_point.get(key, at) == at for key, at in point.items()):
             row, column = (list(values).index(best_point[key]) for key, values in axes.items())
             frame: Any = _FRAME | {"clip_on": False, "zorder": 3}
             place.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, **frame))
             legend["soonest" if statistic.kind == "time" else "best"] = _FRAME
-    for place in list(places.flat)[len(grids) :]:
+    for place in list(places.flat)[len(points) :]:
         place.set_visible(False)
     for place in places[:, 0]:
         place.set_ylabel(axis_label(rows))
     turned = 0.085 * sum(map(len, across)) > 0.8 * side
-    for place in list(places.flat)[max(len(grids) - width, 0) : len(grids)]:
+    for place in list(places.flat)[max(len(points) - width, 0) : len(points)]:
         place.set_xlabel(axis_label(columns))
         place.tick_params(axis="x", labelbottom=True, labelrotation=90 if turned else 0)
     add_colour_bar(figure, places, image, statistic.name, known, int(8 * tall))
-    if any(hatch.any() for hatch in marked):
+    if marked.any():
         hatch_style = {"facecolor": "none", "edgecolor": "black", "hatch": _MARKED}
         legend = {hatch_name: hatch_style} | legend
-    if not all(np.isfinite(values).all() for values in cells):
+    if not np.isfinite(cells).all():
         legend = {"never (median)": _NEVER} | legend
     if legend:
         handles = [Patch(**patch, label=label) for label, patch in legend.items()]
@@ -183,14 +183,14 @@ def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
         return CellStatistic("time", shown, _median_settling_time)
     if pa.types.is_boolean(column.type) or name.endswith("_share"):
         share = _FLAGS.get(name, f"{axis_label(name.removesuffix('_share'))} (%)")
-        return CellStatistic("share", share, lambda runs: 100 * runs.mean(axis=0))
+        return CellStatistic("share", share, lambda runs: 100 * runs.mean(axis=-1))
     name = f"rms of {axis_label(name)}"
-    return CellStatistic("rms", name, lambda runs: np.sqrt((runs**2).mean(axis=0)))
+    return CellStatistic("rms", name, lambda runs: np.sqrt((runs**2).mean(axis=-1)))
 
 
 def _median_settling_time(settle_s: NDArray) -> NDArray:
-    """The median over the draws of (draws, ...), infinite where most runs never settle."""
-    return median_over_draws(np.nan_to_num(np.moveaxis(settle_s, 0, -1), nan=np.inf))
+    """The median over the draws of (..., draws), infinite where most runs never settle."""
+    return median_over_draws(np.nan_to_num(settle_s, nan=np.inf))
 
 
 def _panel_titles(points: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -215,23 +215,24 @@ def _best_cell_overall(
     the title names the statistic, and there is no point.
     """
     found = []
-    for point, rows in group_rows(table, choice_keys):
-        _, (panel,) = split_into_panels(rows, *axes)
-        runs = panel.column_values(column)
+    grid = Grid.from_table(table, choice_keys, *((key,) for key in axes))
+    for place, chosen in enumerate(grid.axes[tuple(choice_keys)]):
+        runs = grid.column(column)[place]
         cells = statistic.compute(runs)
         known = cells[np.isfinite(cells)]
         if not known.size or np.ptp(known) == 0:
             continue
         if statistic.kind == "share" and np.sum(known == known.max()) > 1:
             continue
-        settled = np.isfinite(runs).mean(axis=0)
+        settled = np.isfinite(runs).mean(axis=-1)
         if statistic.kind == "time":  # mean of those that settle
-            cells = np.nansum(runs, axis=0) / np.maximum(settled * len(runs), 1)
+            cells = np.nansum(runs, axis=-1) / np.maximum(settled * runs.shape[-1], 1)
         order = np.nan_to_num(cells, nan=np.inf) * (-1 if statistic.kind == "share" else 1)
         best = int(np.lexsort((order.ravel(), -settled.ravel()))[0])
-        best_point = dict(point)
-        for name in (*axes, *{"reset_times_s"}.intersection(rows.column_names)):
-            best_point[name] = panel.rows[name][best].as_py()
+        best_point = dict(zip(choice_keys, chosen, strict=True))
+        row = int(grid.rows[place].reshape(settled.size, -1)[best, 0])
+        for name in (*axes, *{"reset_times_s"}.intersection(table.column_names)):
+            best_point[name] = table[name][row].as_py()
         found.append((-settled.flat[best], order.flat[best], best_point, cells.flat[best]))
     if not found:
         return f"{statistic.name[:1].upper()}{statistic.name[1:]}", {}
@@ -242,7 +243,7 @@ def _best_cell_overall(
         return f"Best: {words} ({shown:.3g} {unit})", point
     if missing > -1:
         return f"Most often: {words} ({-100 * missing:.3g} % of the runs settle)", point
-    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[0] > 1)})", point
+    return f"Soonest: {words} ({shown:.0f} s{' on average' * (runs.shape[-1] > 1)})", point
 
 
 def _tick_label(key: str, value: Any) -> str:
