@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.differences import mean_difference, proportion_difference
+from sinsjax.analysis import Estimate, format_estimate, mean_difference, proportion_difference
 from sinsjax.analysis.estimates import TAIL
 from sinsjax.analysis.tables import numeric_column
 from sinsjax.arena.runs import conditions_of

@@ -74,7 +74,7 @@ class Form(NamedTuple):
     blind: bool = False
 
 
-def export_study(
+def export_study(  # noqa: PLR0913
     study: Study | str | Path,
     directory: str | Path,
     *,
@@ -281,7 +281,7 @@ def _truth_parquet(runs: ProgramRuns, form: Form) -> bytes:
     for number in range(runs.environments.max() + 1):
         part = runs.part_of(number)
         truth = given.true_attitudes_at_records(runs.batch(part))
-        time_s = runs.study.update_times(runs.study.spans[part.ids[0]])
+        time_s = runs.study.update_times(runs.study.lengths.to_list()[part.ids[0]])
         names = [record_name(runs, form, number, draw) for draw in runs.draws]
         pitch, roll, yaw = to_angles(Quat(*(a.T.ravel() for a in truth)), form.frame).T / DEG
         columns = {

@@ -21,8 +21,8 @@ from sinsjax.execution.success import require_floor
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import register_external
 from sinsjax.study.keys import TomlTable, is_condition_key
-from sinsjax.study.load import study_from_dict, study_to_tables
-from sinsjax.study.study import Study
+from sinsjax.study.load import study_from_dict
+from sinsjax.study.study import Study, study_to_tables
 
 ANY_PROGRAM = "external"
 """Name of a program that has none yet."""

@@ -128,7 +128,7 @@ def score_results(
         raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
     results_directory.check_unlocked(target)
     resume.check_available(target, overwrite=True, resume=False)
-    if not overwrite and resume.manifest_state(target) is not None:
+    if not overwrite and (target / results_directory.MANIFEST).exists():
         raise InputError(f"{target}: already contains results (--overwrite replaces them)")
     exported = ProgramRuns(study, range(*manifest["draws"]))
     stored = None if against is None else _open_results(Path(against), exported)
@@ -155,7 +155,6 @@ def score_results(
         curves=False,
         directory=target,
         overwrite=overwrite,
-        manifest_state=resume.manifest_state(target),
         source=f"{study.name} with {Path(results).name}",
         warnings=tuple(doubts),
     )

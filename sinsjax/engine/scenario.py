@@ -52,7 +52,7 @@ from sinsjax.study.schema import (
     SensorsSection,
     keys_acting_as,
 )
-from sinsjax.study.study import SEQUENTIAL_KEYS, Span, Study
+from sinsjax.study.study import Span, Study
 from sinsjax.study.success import settling_bands
 from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import turns_in_samples
@@ -217,7 +217,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
     reverses = study.passes is not None and not span.rewinds
-    keeps = simulated and reverses and keys.is_active(*SEQUENTIAL_KEYS)
+    keeps = simulated and reverses and keys.is_active(*keys_acting_as("process", "quantum"))
     return ProgramSpec(
         method,
         Options(
@@ -504,19 +504,20 @@ def read_motion(keys: Variants) -> Motion:
 def add_turns(motion: Motion, keys: Variants) -> Motion:
     """Return the motion of the base with its turns, if it has any."""
     values, rate_hz = {key: keys.common(key) for key in TURN_KEYS}, keys.rate_hz
-    if not values["turn_times_s"]:
+    turns_given = values["turn_times_s"]
+    plan = turns_in_samples(rate_hz, keys.data_end_s, values) if turns_given else []
+    if not plan:
         return motion
-    plan = turns_in_samples(rate_hz, keys.data_end_s, values)
-    count, angles = len(plan.turns), np.array([turn.angle_deg for turn in plan.turns])
+    begin, length, ramp, angles, rate = np.array(plan, float).T
     turns = Turns(
-        begin=np.array([turn.begin for turn in plan.turns]) / rate_hz,
-        length=np.array([turn.length for turn in plan.turns]) / rate_hz,
-        ramp=np.full(count, plan.ramp / rate_hz),
-        rate=np.array([turn.rate_deg_per_s for turn in plan.turns]) * DEG,
+        begin=begin / rate_hz,
+        length=length / rate_hz,
+        ramp=ramp / rate_hz,
+        rate=rate * DEG,
         before=np.remainder(np.cumsum(angles) - angles, 360.0) * DEG,
     )
     # With turns that never begin, so that few programs are compiled.
-    unused = (0, 2 ** (count - 1).bit_length() - count)
+    unused = (0, 2 ** (len(plan) - 1).bit_length() - len(plan))
     begin = np.pad(turns.begin, unused, constant_values=_NEVER_S)
     turns = Turns(*(np.pad(a, unused, mode="edge") for a in turns))._replace(begin=begin)
     if values["turn_axis"] == "body":

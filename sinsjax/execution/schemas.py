@@ -13,7 +13,7 @@ from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, START_KEYS, predict
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
-from sinsjax.study.sweep_columns import CodedColumn, constant_column
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.variants import Variants
 
 
@@ -32,7 +32,7 @@ def summary_columns(study: Study) -> tuple[Column, ...]:
 
 def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Array]:
     """Return the columns that the study determines, by name, (variants,), in the schema's types."""
-    resets, cycle = study.schedules, constant_column(study.n_variants, None)
+    resets, cycle = study.schedules, study.coded().map(lambda _: None)
     if study.has("resets"):
         cycle = study.coded("reset_cycle_s")
     fixed = {

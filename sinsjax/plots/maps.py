@@ -64,7 +64,7 @@ class CellStyle(NamedTuple):
 
 
 @with_style
-def plot_map(
+def plot_map(  # noqa: PLR0913
     runs: Any,
     rows: str,
     columns: str,

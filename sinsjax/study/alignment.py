@@ -6,7 +6,7 @@ from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
-from sinsjax.methods.registry import METHODS, external_names
+from sinsjax.methods.registry import BROKEN, METHODS, external_names
 from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
@@ -16,6 +16,8 @@ def _check_method_name(name: Any, check: Any) -> Any:
     """Return the name of a method, or raise an error with the known names."""
     if isinstance(name, str) and external_names([name]):
         return name
+    if isinstance(name, str) and name in BROKEN.keys() - METHODS.keys():
+        raise rule_error(f"{name!r} cannot be used: {BROKEN[name]}")
     try:
         return check(name)
     except ValidationError as error:
@@ -28,6 +30,16 @@ else:
     MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
 
 
+def _initial_angle(about: str) -> Any:
+    rotate = "the three angles rotate the computed to the true attitude"
+    return field(f"initial misalignment about {about}; {rotate}", 0.0)
+
+
+def _initial_velocity(axis: str) -> Any:
+    error = "an error, since the base does not travel"
+    return field(f"initial computed {axis} velocity; {error}", 0.0)
+
+
 def _has_rotation(*angles: float | None) -> bool:
     return any(angle is None or angle != 0 for angle in angles)
 
@@ -38,31 +50,15 @@ class AlignmentSection(Section):
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
     method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
-    phi_e0_deg: vt.HalfTurn = field(
-        "initial misalignment about east; the three angles rotate the computed to the true"
-        " attitude",
-        0.0,
-    )
-    phi_n0_deg: vt.HalfTurn = field(
-        "initial misalignment about north; the three angles rotate the computed to the true"
-        " attitude",
-        0.0,
-    )
-    phi_u0_deg: vt.HalfTurn = field(
-        "initial misalignment about up, the heading error; the three angles rotate the computed to"
-        " the true attitude",
-        0.0,
-    )
+    phi_e0_deg: vt.HalfTurn = _initial_angle("east")
+    phi_n0_deg: vt.HalfTurn = _initial_angle("north")
+    phi_u0_deg: vt.HalfTurn = _initial_angle("up, the heading error")
     misalignment: Literal["vector", "euler"] = field(
         "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
         "vector",
     )
-    ve0_m_per_s: vt.Speed = field(
-        "initial computed east velocity; an error, since the base does not travel", 0.0
-    )
-    vn0_m_per_s: vt.Speed = field(
-        "initial computed north velocity; an error, since the base does not travel", 0.0
-    )
+    ve0_m_per_s: vt.Speed = _initial_velocity("east")
+    vn0_m_per_s: vt.Speed = _initial_velocity("north")
     position: Literal["fixed", "integrated"] = field(
         "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )
@@ -75,17 +71,13 @@ class AlignmentSection(Section):
         "interval between feedbacks into the navigation solution",
         otherwise="one sample",
         whole="sample",
+        time="s",
     )
     feedback_time_constant_s: vt.SecondsOrZero | None = field(
         "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
         " 0",
         default=0.0,
     )
-
-
-_Reversal = Literal[
-    "reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"
-]
 
 
 class PassesSection(Section):
@@ -122,7 +114,10 @@ class PassesSection(Section):
         " propagated back to the record's start",
         otherwise="'alternate'",
     )
-    turn: _Reversal | None = field(
+    turn: (
+        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
+        | None
+    ) = field(
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
         " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
@@ -138,10 +133,6 @@ class PassesSection(Section):
         default="carried",
     )
     turn_inflation: vt.Factor | None = field("factor on P with 'inflated'", default=10.0)
-
-
-def _is_aligned(method: str) -> bool:
-    return method != "none"
 
 
 class CoarseSection(Section):
@@ -160,7 +151,9 @@ class CoarseSection(Section):
     """
 
     conditions = (
-        KeyCondition(("coarse_duration_s", "coarse_then"), ("coarse_method",), _is_aligned),
+        KeyCondition(
+            ("coarse_duration_s", "coarse_then"), ("coarse_method",), lambda name: name != "none"
+        ),
     )
 
     coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(

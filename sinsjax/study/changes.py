@@ -8,29 +8,29 @@ drawn key.
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.study.files import TOO_DEEP, check_nesting
+from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
-_SWEEP_TABLES = ("axes", "drawn")
 _EXAMPLE = "such as alignment.phi_u0_deg"
 _WORD = re.compile(r"[+-]?[A-Za-z_][\w+-]*")  # also an order of axes, as -y-xz
+_MAX_NESTING = 50  # a study has at most five
 _COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 class SetOptions(dict[str, Any]):
-    """The values of ``--set`` by place, whose user is told what else they drop.
+    """The values of ``--set`` by place, whose user is told what else they drop."""
 
-    Attributes:
-        told: lines that the user has read.
-    """
 
-    def __init__(self) -> None:
-        """Begin without changes."""
-        super().__init__()
-        self.told = set[str]()
+@cache
+def _tell(line: str) -> None:
+    """Print a warning once: a command may read its study twice."""
+    from sinsjax.console import print_warning
+
+    print_warning(line)
 
 
 def parse_changes(texts: Iterable[str]) -> SetOptions:
@@ -52,17 +52,14 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
             raise InputError(f"--set {place}: {TOO_DEEP}") from None
         except ValueError:
             if not _WORD.fullmatch(value):
-                is_comma = _COMMA.fullmatch(value)
                 points = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
-                hint = points if is_comma else "quote text"
+                hint = points if _COMMA.fullmatch(value) else "quote text"
                 raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
             changes[place] = value
     return changes
 
 
-def apply_changes(
-    tables: Mapping[str, Any], changes: Mapping[str, Any], source: str = ""
-) -> TomlTable:
+def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
     The user of `SetOptions` is told the alternatives to a key that it replaces.
@@ -72,7 +69,6 @@ def apply_changes(
         changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
             deeper, such as ``tune.variables.p0_yaw_deg.low``; or all cases by ``cases``. An empty
             table drops the section, key, axis or table of that name.
-        source: name of the study in messages.
 
     Raises:
         InputError: a place does not name a section and a key, there is nothing to drop, two changes
@@ -80,35 +76,24 @@ def apply_changes(
     """
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
-    try:
-        for place, value in changes.items():
-            dropped = _change(result, place, value, places)
-            line = f"--set {place} replaces {', '.join(dropped)}."
-            if dropped and isinstance(changes, SetOptions) and line not in changes.told:
-                from sinsjax.console import print_warning
-
-                print_warning(line)
-                changes.told.add(line)
-    except InputError as error:
-        raise (error.with_source(source) if source else error) from None
-    check_nesting(result, source)
+    for place, value in changes.items():
+        dropped = _change(result, place, copy_tables(value), places)
+        if dropped and isinstance(changes, SetOptions):
+            _tell(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
 def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
     """Change a value in tables, and return the alternatives to it that were there."""
-    section, *path = place.split(".")
     *above, name = place.split(".")
     table: Any = tables
     is_drop = value == {}
-    if place == "cases" and not is_drop:
-        tables[place] = copy_tables(value)
-        return []
-    if not is_drop and not (path and all(path)):
-        hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
-        raise InputError(f"{place}: must name a section and a key ({hint})")
-    if not is_drop and section == "cases":
-        raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
+    if not is_drop and place != "cases":
+        if not (above and all(above) and name):
+            hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
+            raise InputError(f"{place}: must name a section and a key ({hint})")
+        if above[0] == "cases":
+            raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
     for part in above:
         if isinstance(table, dict):
             table = table.get(part) if is_drop else table.setdefault(part, {})
@@ -120,7 +105,8 @@ def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -
     if not isinstance(table, dict):
         raise InputError(f"{place}: is below a value, not in a table (name the value itself)")
     table[name] = value
-    if section not in (*SECTIONS, *_SWEEP_TABLES) or (section in SECTIONS and len(path) > 1):
+    section, *path = *above, name
+    if section in SECTIONS and len(path) > 1 or section not in (*SECTIONS, "axes", "drawn"):
         return []
     key, kept = (name, table) if section == "axes" else (path[0], tables[section])
     for other in alternative_keys(key) & places.keys():
@@ -129,13 +115,21 @@ def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -
     return _drop_elsewhere(tables, key, kept)
 
 
-def copy_tables(value: Any, sequence: Callable[[Iterable[Any]], Any] = list) -> Any:
-    """Return a deep copy of tables, with all lists and tuples as one of both."""
+def copy_tables(
+    value: Any, sequence: Callable[[Iterable[Any]], Any] = list, depth: int = _MAX_NESTING
+) -> Any:
+    """Return a deep copy of tables, with all lists and tuples as one of both.
+
+    Raises:
+        InputError: they are nested too deeply, as by ``[a.a.a.a]``, which a TOML parser accepts.
+    """
+    if not isinstance(value, Mapping | list | tuple):
+        return value
+    if not depth:
+        raise InputError(TOO_DEEP)
     if isinstance(value, Mapping):
-        return {key: copy_tables(entry, sequence) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return sequence(copy_tables(entry, sequence) for entry in value)
-    return value
+        return {key: copy_tables(entry, sequence, depth - 1) for key, entry in value.items()}
+    return sequence(copy_tables(entry, sequence, depth - 1) for entry in value)
 
 
 def _drop_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
@@ -147,22 +141,20 @@ def _drop_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
         The alternatives that are gone, each after its table in brackets.
     """
     axes, cases, drawn = (tables.get(name) for name in ("axes", "cases", "drawn"))
-    zips = {name: table for name, table in axes.items()} if isinstance(axes, dict) else {}
-    places = [(f"[{name}]", tables.get(name)) for name in (*SECTIONS, *_SWEEP_TABLES)]
-    places += [(f"[axes.{name}]", table) for name, table in zips.items()]
+    zips = list(axes.items()) if isinstance(axes, dict) else []
+    places = [(f"[{name}]", tables.get(name)) for name in (*SECTIONS, "axes", "drawn")]
+    places += [(f"[axes.{name}]", table) for name, table in zips]
     places += [("[cases]", row) for row in (cases if isinstance(cases, list) else ())]
     dropped: dict[str, None] = {}
     for place, table in places:
-        if not isinstance(table, dict) or place == "[tune]":
-            continue
-        if table is not kept:
-            table.pop(key, None)
-        for other in sorted(alternative_keys(key) & table.keys()):
-            del table[other]
-            dropped[f"{place} {other}"] = None
-    for name, table in zips.items():
-        if table == {}:
-            del tables["axes"][name]
+        if isinstance(table, dict) and place != "[tune]":
+            if table is not kept:
+                table.pop(key, None)
+            for other in sorted(alternative_keys(key) & table.keys()):
+                del table[other]
+                dropped[f"{place} {other}"] = None
+    for name in (name for name, table in zips if table == {}):
+        del tables["axes"][name]
     if isinstance(drawn, dict) and drawn is not kept and drawn.keys() <= {"sampling"}:
         del tables["drawn"]
     return list(dropped)

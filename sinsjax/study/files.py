@@ -1,10 +1,8 @@
 """Study files: shipped studies by name, templates for a new study, and reading of a file."""
 
 import os
-import re
 import tomllib
-from contextlib import suppress
-from itertools import chain
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +13,12 @@ from sinsjax.platform.assets import asset_path
 _FOLDER = "configs"
 _SCHEMA, _GROUP = "#:schema", "#:group "
 DOUBT, QUESTION = "# DOUBT: ", "# QUESTION: "
-"""Start of a comment about an uncertain or an open value in a study that is written for a record.
-"""
+"""Start of a comment about an uncertain or an open value, in a study written for a record."""
 
 OPEN = "?"
 """Value of an open key, which the study must answer."""
 
-_STUDY, _PAGE = re.compile(r"\bconfigs/(\w+)\.toml"), re.compile(r"\bdocs/(\w+)\.md")
-
 TOO_DEEP = "is nested too deeply"
-_MAX_NESTING = 50
-"""Largest depth of nested tables and lists; a study has at most five."""
 
 GROUPS = {
     "first": "studies to begin with",
@@ -75,24 +68,8 @@ def find_study_file(name_or_path: str | Path) -> Path:
     with_suffix = path if path.suffix == ".toml" else path.with_name(f"{path.name}.toml")
     if os.path.isfile(with_suffix):
         return with_suffix
-    is_shipped = path.parent.as_posix() in (".", _FOLDER)
-    return shipped_studies().get(with_suffix.stem, path) if is_shipped else path
-
-
-def describe_shadowed_study(name_or_path: str | Path) -> list[str]:
-    """Return a line if a name means an edited local file instead of the shipped study.
-
-    Args:
-        name_or_path: name or file of a study; reading a file that is no text fails later.
-    """
-    shipped = shipped_studies().get(Path(name_or_path).name)
-    path = find_study_file(name_or_path)
-    if shipped is None or path.parent != Path():
-        return []
-    with suppress(OSError, UnicodeDecodeError):
-        if _name_pages(_read_body(path)) == _name_pages(_read_body(shipped)):
-            return []
-    return [f"{name_or_path}: the local file {path}, not the shipped study."]
+    shipped = asset_path(_FOLDER) / with_suffix.name
+    return shipped if path.parent in (Path(), Path(_FOLDER)) and os.path.isfile(shipped) else path
 
 
 def source_name(name_or_path: str | Path) -> str:
@@ -107,21 +84,14 @@ def source_name(name_or_path: str | Path) -> str:
 
 def read_purpose(path: Path) -> str:
     """Return the purpose of a study: the first sentence of the comment at its start."""
-    lines = []
-    for line in _read_body(path).splitlines():
-        if not line.startswith("# "):
-            break
-        lines.append(line[2:].strip())
-    text = " ".join(lines)
+    comment = takewhile(lambda line: line.startswith("# "), _read_body(path).splitlines())
+    text = " ".join(line[2:].strip() for line in comment)
     ends = [at + 1 for mark in (". ", "? ") if (at := text.find(mark)) > 0]
-    sentence = text[: min(ends, default=len(text))] or path.stem
-    return _name_pages(_STUDY.sub(r"\1", sentence))
+    return text[: min(ends, default=len(text))] or path.stem
 
 
 def shipped_text(name: str, copy: Path) -> str:
-    """Return the text of a template or shipped study, with its comments and a path to the schema.
-
-    Its comments name the copy, and other studies without their folder, which a wheel does not have.
+    """Return the text of a template or shipped study, whose comments name its copy.
 
     Raises:
         InputError: the name is unknown.
@@ -131,13 +101,7 @@ def shipped_text(name: str, copy: Path) -> str:
         hint = suggest_closest(stem, known)
         raise InputError(f"{name}: no study of this name (`init --list` shows them){hint}")
     text = _read_body(known[stem]).replace(f"{_FOLDER}/{stem}.toml", str(copy))
-    text = _STUDY.sub(r"\1", text)
-    return f"{schema_line()}\n{_name_pages(text)}"
-
-
-def _name_pages(text: str) -> str:
-    """Return a text that names pages without their folder, which a wheel does not have."""
-    return _PAGE.sub(r"the page \1", text)
+    return f"{schema_line()}\n{text}"
 
 
 def schema_line() -> str:
@@ -163,35 +127,16 @@ def read_tables(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read or is not TOML.
     """
-    name = source_name(path)
     try:
-        tables = tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
+        return tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
     except OSError as error:
         missing = isinstance(error, FileNotFoundError)
         hint = suggest_closest(Path(path).stem, shipped_studies()) if missing else ""
-        raise InputError(f"{name}: cannot be read: {error.strerror}{hint}") from None
+        text = f"cannot be read: {error.strerror}{hint}"
     except UnicodeDecodeError:
-        raise InputError(f"{name}: is not UTF-8 text (save it as UTF-8)") from None
+        text = "is not UTF-8 text (save it as UTF-8)"
     except ValueError as error:
-        raise InputError(f"{name}: is not TOML: {error}") from None
+        text = f"is not TOML: {error}"
     except RecursionError:
-        raise InputError(f"{name}: {TOO_DEEP}") from None
-    check_nesting(tables, name)
-    return tables
-
-
-def check_nesting(content: Any, source: str | Path) -> None:
-    """Refuse tables and lists that are nested too deeply for recursive functions.
-
-    The TOML parser accepts them, for example ``[a.a.a.a]``.
-
-    Raises:
-        InputError: the content of the source is nested too deeply.
-    """
-    level = [content]
-    for _ in range(_MAX_NESTING):
-        tables = [value.values() for value in level if isinstance(value, dict)]
-        lists = [value for value in level if isinstance(value, list | tuple)]
-        level = [*chain.from_iterable(tables), *chain.from_iterable(lists)]
-    if level:
-        raise InputError(f"{source}: {TOO_DEEP}")
+        text = TOO_DEEP
+    raise InputError(f"{source_name(path)}: {text}")

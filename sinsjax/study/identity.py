@@ -53,11 +53,11 @@ def describe_differences(
         labels: words for the places of both.
     """
     old_values, new_values = _values_by_key(old), _values_by_key(new)
-    changed = []
-    for key in dict.fromkeys((*old_values, *new_values)):
-        values = [_format_value(found.get(key)) for found in (old_values, new_values)]
-        if old_values.get(key) != new_values.get(key):
-            changed.append(f"{key}: {values[0]} {labels[0]}, {values[1]} {labels[1]}")
+    changed = [
+        f"{key}: {_format_value(before)} {labels[0]}, {_format_value(after)} {labels[1]}"
+        for key in dict.fromkeys((*old_values, *new_values))
+        if (before := old_values.get(key)) != (after := new_values.get(key))
+    ]
     if not changed and any(key.endswith("attitude_file") for key in new_values):
         return ["the content of [motion] attitude_file, or the order of its keys"]
     return changed or ["its keys are in another order"]
@@ -65,22 +65,17 @@ def describe_differences(
 
 def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a study by section and key of its file."""
-    content = dict(sections_to_json(study) if isinstance(study, Study) else study)
-    for name in ("tune", "zips", "drawn", "cases"):
-        content.setdefault(name, {})
-    zips, drawn, cases = (content.pop(name) for name in ("zips", "drawn", "cases"))
-    del content["tune"]
-    tables = content | {f"axes.{name}": keys for name, keys in _as_table(zips).items()}
-    drawn = dict(_as_table(drawn))
-    tables["drawn"] = {**_as_table(drawn.pop("laws", None)), **drawn}
-    cases = cases if isinstance(cases, list) else ()
+    tables = dict(sections_to_json(study) if isinstance(study, Study) else study)
+    zips, cases = _as_table(tables.pop("zips", None)), tables.pop("cases", ())
+    tables |= {f"axes.{name}": keys for name, keys in zips.items()}
     tables |= {f"cases {i}": case for i, case in enumerate(cases)}
     ignored = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
     return {
         place: value
-        for table, keys in tables.items()
-        for key, value in _as_table(keys).items()
-        if (place := f"[{table}] {key}") not in ignored
+        for name, table in tables.items()
+        if name != "tune"
+        for key, value in _as_table(table).items()
+        if (place := f"[{name}] {key}") not in ignored
     }
 
 

@@ -7,8 +7,7 @@ tables that vary a study. Values stay in the units of the file.
 """
 
 import difflib
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +15,14 @@ import tomli_w
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from sinsjax.errors import ErrorCollector, InputError, StudyWarning
+from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
-from sinsjax.methods.registry import (
-    BROKEN,
-    METHODS,
-    register_external,
-)
+from sinsjax.methods.registry import register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
 from sinsjax.study.keys import (
+    KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
@@ -38,22 +34,12 @@ from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
+    check_alternatives,
     correctable_errors,
-    describe_gone_settings,
     read_sweep,
     read_tune_section,
     without_gone_settings,
 )
-from sinsjax.study.unused_keys import list_idle_keys
-
-__all__ = [
-    "Study",
-    "load_study",
-    "study_from_dict",
-    "study_to_toml",
-    "study_to_tables",
-    "with_point",
-]
 
 _SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
@@ -72,9 +58,6 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     Raises:
         InputError: the file cannot be read, is not TOML or not a valid study; a line per mistake.
 
-    Warns:
-        StudyWarning: an edited local file has the name of a shipped study.
-
     Examples:
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
         Study reset_sweep
@@ -85,37 +68,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    study, _ = _load(source, changes)
-    for line in files.describe_shadowed_study(source):
-        warnings.warn(line, StudyWarning, stacklevel=2)
-    return study
-
-
-def load_with_notes(path: str | Path, changes: Mapping[str, Any]) -> tuple[Study, list[str]]:
-    """Read and check a study file like `load_study`.
-
-    Returns:
-        The study, and lines for the user about keys that have no effect.
-
-    Raises:
-        InputError: see `load_study`.
-    """
-    study, tables = _load(path, changes)
-    return study, [*describe_gone_settings(tables), *list_idle_keys(study)]
-
-
-def _load(path: str | Path, changes: Mapping[str, Any] | None) -> tuple[Study, TomlTable]:
-    """Read and check a study file; also return its tables."""
-    name, data = files.source_name(path), files.read_tables(path)
-    if changes:
-        data = apply_changes(data, changes, name)
-    try:
-        return _checked_study(data, name, path), data
-    except InputError as error:
-        if "sensors" in data and data.keys() <= {*SHEET_TABLES}:
-            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
-            raise InputError(*error.lines, f"{name}: has no [alignment] ({hint})") from None
-        raise
+    return _build(files.read_tables(source), files.source_name(source), changes or {}, source)
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -143,22 +96,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
           method  kalman5
           length  60 s at 100 Hz
     """
-    return _checked_study(data, source)
-
-
-def _checked_study(data: TomlTable, source: str, path: str | Path | None = None) -> Study:
-    """Return the study of some tables, whose file has the evidence of open questions."""
-    try:
-        reject_open_questions(data, path)
-        _check_methods_usable(data)
-        study = _read_study(data, escape_controls(Path(source).stem))
-        if study.tune and study.study.rate_hz:
-            _check_tuning_points(study)
-        return study
-    except InputError as error:
-        raise error.with_source(source) from None
-    except RecursionError:
-        raise InputError(f"{source}: {files.TOO_DEEP}") from None
+    return _build(data, source, {})
 
 
 def study_to_toml(study: Study) -> str:
@@ -187,44 +125,53 @@ def with_rate(study: Study, rate_hz: float) -> Study:
     Raises:
         InputError: the study is not valid at this rate.
     """
-    if study.study.rate_hz:
+    return study if study.study.rate_hz else study.replace({"study.rate_hz": rate_hz})
+
+
+def _build(
+    data: TomlTable, source: str, changes: Mapping[str, Any], path: str | Path | None = None
+) -> Study:
+    """Return the study of some tables with changes, whose file shows why a question is open."""
+    try:
+        tables = apply_changes(data, changes) if changes else data
+        reject_open_questions(tables, path)
+        study = _read_study(tables, escape_controls(Path(source).stem))
+        if study.tune and study.study.rate_hz:
+            _check_tuning_points(study)
         return study
-    tables = study_to_tables(study)
-    settings = tables["study"] | {"rate_hz": rate_hz}
-    return study_from_dict(tables | {"study": settings}, study.name)
+    except InputError as error:
+        lines = error.with_source(source).lines
+        if path and "sensors" in data and data.keys() <= {*SHEET_TABLES}:
+            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
+            lines = (*lines, f"{source}: has no [alignment] ({hint})")
+        raise InputError(*lines) from None
 
 
-Study.from_tables = staticmethod(study_from_dict)
+Study.from_tables = staticmethod(_build)
 
 
 def _read_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables: names, sweep, defaults, values, rules."""
-    tables = without_gone_settings(copy_tables(data, tuple))
+    tables, errors = without_gone_settings(copy_tables(data, tuple)), ErrorCollector()
     _check_tables(tables)
     _register_external(tables)
-    errors, sweep, inherited = ErrorCollector(), Sweep(), frozenset[str]()
-    with errors.collect():
-        sweep, inherited = read_sweep(tables)
+    sweep, inherited = read_sweep(tables, errors)
     given = {  # the cases have the others
         section: {key: value for key, value in table.items() if key not in inherited}
         for section, table in tables.items()
         if section in SECTIONS
     }
+    tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
     with errors.collect():
-        _check_alternatives(
-            {key: f"[{section}]" for section, keys in given.items() for key in keys}
-            | sweep.table_of
-        )
+        check_alternatives(tables_of_keys | sweep.table_of)
     defaults = filled_in(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:
-        tune, recorded = sections["tune"], "record" in tables
-        sections["tune"] = tune | {"variables": {}, "baseline": {}}  # in case these are wrong
-        with errors.collect():
-            sections["tune"] = read_tune_section(tune, sweep.table_of, recorded=recorded)
+        sections["tune"] = read_tune_section(sections["tune"], tables, sweep.table_of, errors)
     try:
-        study = Study.model_validate(sections | dict(sweep))
+        varied = {name: getattr(sweep, name) for name in Sweep.model_fields}
+        study = Study.model_validate(sections | varied)
     except ValidationError as error:
         for detail in correctable_errors(error):
             errors.add(_format_error(detail))
@@ -238,10 +185,10 @@ def _read_study(data: TomlTable, name: str) -> Study:
 def _register_external(tables: TomlTable) -> None:
     """Make the programs known whose results a study has, before its methods are checked."""
     names = tables.get("study", {}).get("external", ())
-    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+    if not isinstance(names, tuple):
         return  # refused with the other values
     try:
-        register_external(names)
+        register_external([name for name in names if isinstance(name, str)])
     except InputError as error:
         raise InputError(f"[study] external: {error}") from None
 
@@ -265,51 +212,32 @@ def _check_tuning_points(study: Study) -> None:
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_methods_usable(data: Any, key: str = "") -> None:
-    """Refuse a word under a key ``method`` that names a method that cannot be used."""
-    if isinstance(data, Mapping):
-        for name, value in data.items():
-            _check_methods_usable(value, name)
-    elif isinstance(data, list | tuple):
-        for value in data:
-            _check_methods_usable(value, key)
-    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
-        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
-
-
 def _check_tables(data: TomlTable) -> None:
     """Refuse unknown sections and keys, and those that a recorded study cannot have."""
+    names, recorded = (*SECTIONS, *_SWEEP_TABLES), "record" in data
     errors = ErrorCollector()
     for name, table in data.items():
-        for line in _errors_of_table(name, table):
-            errors.add(line)
-    for name in SIMULATED_ONLY:
-        if name in data and "record" in data:
+        if name == "advise":
+            errors.add("[advise]: is read by `sinsjax advise` alone (drop it from a study)")
+        elif name in SECTION_OF and name not in SECTIONS:
+            errors.add(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
+        elif name not in names:
+            hint = suggest_closest(name, names, "[{}]") or " (is its method not installed?)"
+            errors.add(f"[{name}]: unknown section{hint}")
+        elif name != "cases" and not isinstance(table, Mapping):
+            errors.add(f"[{name}]: must be a table of keys")
+        elif recorded and name in SIMULATED_ONLY:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-    study = data.get("study")
-    if "record" in data and isinstance(study, Mapping) and "draws" in study:
-        reason = "does not apply to a recorded study (drop it: there is one draw per start time)"
-        errors.add(f"[study] draws: {reason}")
+        elif name != "cases":
+            for key, value in table.items():
+                if name in SECTIONS and key not in SECTIONS[name].model_fields:
+                    errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
+                elif value is None:
+                    errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
+                elif recorded and name in SECTIONS and KEYS[name, key].info.in_simulation:
+                    reason = "does not apply to a recorded study (drop it: one draw per start time)"
+                    errors.add(f"[{name}] {key}: {reason}")
     errors.raise_all()
-
-
-def _errors_of_table(name: str, table: Any) -> Iterator[str]:
-    """Yield the errors of an unknown table, or of the unknown keys in a table."""
-    names = (*SECTIONS, *_SWEEP_TABLES)
-    if name in SECTION_OF and name not in SECTIONS:
-        yield f"{name}: a key of [{SECTION_OF[name]}] (move it there)"
-    elif name == "advise":
-        yield "[advise]: is read by `sinsjax advise` alone (drop it from a study)"
-    elif name not in names:
-        hint = suggest_closest(name, names, "[{}]")
-        yield f"[{name}]: unknown section{hint or ' (is its method not installed?)'}"
-    elif not isinstance(table, Mapping) and name != "cases":
-        yield f"[{name}]: must be a table of keys"
-    for key, value in table.items() if name in names and isinstance(table, Mapping) else ():
-        if name in SECTIONS and key not in SECTIONS[name].model_fields:
-            yield f"[{name}] {key}: {_unknown_key_text(key, name)}"
-        elif value is None:
-            yield f"[{name}] {key}: None is not a value (leave the key out)"
 
 
 def _unknown_key_text(key: str, section: str) -> str:
@@ -321,19 +249,6 @@ def _unknown_key_text(key: str, section: str) -> str:
     if text == "unknown key" and similar:
         return f"{text} (did you mean {similar[0]} in [{SECTION_OF[similar[0]]}]?)"
     return text
-
-
-def _check_alternatives(table_of: Mapping[str, str]) -> None:
-    """Refuse two keys that are alternatives; each case may have another one."""
-    errors, reported = ErrorCollector(), set[str]()
-    for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
-        tables = {table_of.get(first), table_of.get(second)}
-        if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
-            continue
-        text = f"conflicts with {second} in {table_of[second]} (give one of them)"
-        errors.add(f"{table_of[first]} {first}: {text}")
-        reported |= {first, second}
-    errors.raise_all()
 
 
 def _format_error(error: ErrorDetails) -> str:

@@ -6,7 +6,6 @@ sampling each key has a separate stream; Sobol points have one dimension per num
 
 import math
 from collections.abc import Iterable
-from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -44,16 +43,11 @@ def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.nd
 def truncate_drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
     """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
 
-    Lists are truncated to the entries that are drawn.
+    Lists and grids have the entries that are drawn.
     """
     table = drawn.model_dump(exclude_none=True)
-    grids = {key: law.grid for key, law in drawn.laws.items() if law.grid}
-    if math.prod(map(len, grids.values())) > count:
-        columns = zip(*islice(product(*grids.values()), count), strict=True)
-        table |= {key: {"values": column} for key, column in zip(grids, columns, strict=True)}
-    for key, law in drawn.laws.items():
-        if law.values:
-            table[key] = {"values": law.values[:count]}
+    for key, rows in _listed_values(drawn.laws, np.arange(count)).items():
+        table[key] = {"values": (rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0]).tolist()}
     return table
 
 

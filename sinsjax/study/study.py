@@ -6,7 +6,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from itertools import product
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
@@ -19,7 +19,7 @@ from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study import display
 from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
-from sinsjax.study.changes import apply_changes, copy_tables
+from sinsjax.study.changes import copy_tables
 from sinsjax.study.defaults import without_defaults
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -31,11 +31,7 @@ from sinsjax.study.keys import (
     deciding_keys,
     has_effect,
 )
-from sinsjax.study.reset_schedules import (
-    DERIVED,
-    LAW_KEYS,
-    derive_schedule,
-)
+from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, derive_schedule
 from sinsjax.study.schema import (
     EarthSection,
     MotionSection,
@@ -44,15 +40,9 @@ from sinsjax.study.schema import (
     StopWhenSection,
     StudySection,
     TuneSection,
-    keys_acting_as,
 )
 from sinsjax.study.sweep import Sweep
-from sinsjax.study.sweep_columns import (
-    CodedColumn,
-    SweepColumns,
-    constant_column,
-    unique_with_inverse,
-)
+from sinsjax.study.sweep_columns import CodedColumn, iter_points, point_codes
 from sinsjax.value_types import ROUNDING
 
 _USER_NAMES = (
@@ -64,9 +54,6 @@ _USER_NAMES = (
 
 COARSE_START = ("coarse_method", "coarse_then")
 """Keys that determine whether a run starts with coarse alignment."""
-
-SEQUENTIAL_KEYS = keys_acting_as("process", "quantum")
-"""Keys of disturbances whose samples depend on earlier samples."""
 
 
 class Span(NamedTuple):
@@ -132,8 +119,8 @@ class Study(_SectionsOfMethods):
     stop_when: StopWhenSection | None = None
     tune: TuneSection | None = None
 
-    from_tables: ClassVar[Callable[[TomlTable, str], "Study"]]
-    """`load.study_from_dict`, which sets it."""
+    from_tables: ClassVar[Callable[[TomlTable, str, Mapping[str, Any]], "Study"]]
+    """Function of tables, a name and changes, which `load` sets."""
 
     def replace(self, changes: Mapping[str, Any]) -> "Study":
         """Return the study with some values changed, and new defaults where they depend on these.
@@ -151,8 +138,7 @@ class Study(_SectionsOfMethods):
             >>> study.n_variants, study.replace({"alignment.phi_u0_deg": 12.0}).n_variants
             (448, 56)
         """
-        changed = apply_changes(self.to_dict(), changes, self.name)
-        return type(self).from_tables(changed, self.name)
+        return type(self).from_tables(self.to_dict(), self.name, changes)
 
     def to_dict(self) -> TomlTable:
         """Return the study as nested tables, as in its TOML file, without keys at their defaults.
@@ -174,10 +160,6 @@ class Study(_SectionsOfMethods):
         return display.format_text(f"Study {self.name}", self.facts)
 
     __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Study {self.name}", self.facts)
 
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
@@ -245,33 +227,15 @@ class Study(_SectionsOfMethods):
         samples = self.duration_s * self.rate_hz
         return math.floor(samples * (1 + ROUNDING)) // self.record_every
 
-    @cached_property
-    def _columns(self) -> SweepColumns:
-        columns = SweepColumns(self.dimensions, self._constant)
-        if self.names_schedules:
-            columns.derive(DERIVED, self._law_inputs, self._derive)
-        return columns
-
-    def coded(self, *keys: str) -> CodedColumn:
-        """Return the column of a key, or of combinations of several, see `SweepColumns.column`."""
-        return self._columns.column(*keys)
-
     @property
     def lengths(self) -> CodedColumn:
         """The length of each variant's runs, as a column of `Span`."""
-        if self.passes is None:
-            return constant_column(self.n_variants, self.span())
-        return self.coded(*PASS_KEYS).map(lambda values: self.span(*values))
-
-    @property
-    def spans(self) -> list[Span]:
-        """The length of each variant's runs."""
-        return self.lengths.to_list()
+        return self._points(PASS_KEYS if self.passes else ()).map(lambda values: self.span(*values))
 
     @property
     def distinct_spans(self) -> set[Span]:
         """The distinct lengths of the variants' runs, from the axes alone."""
-        points = self.combinations(*PASS_KEYS) if self.passes else [{}]
+        points = self.combinations(*(PASS_KEYS if self.passes else ()))
         return {self.span(**point) for point in points}
 
     def span(
@@ -315,15 +279,10 @@ class Study(_SectionsOfMethods):
     ) -> int:
         """Return the number of samples that are coarsely aligned before a run starts.
 
-        Args:
-            rate_hz: sample rate of the record, Hz.
-            coarse_method: value of this key, as the following arguments.
-            coarse_duration_s: length of coarse alignment, s.
-            coarse_then: start of the method after coarse alignment.
+        The values are those of `COARSE_KEYS`; ``rate_hz`` is the rate of the record.
         """
-        if self.has_coarse_stage(coarse_method, coarse_then):
-            return 0
-        return round(coarse_duration_s * rate_hz)
+        is_stage = self.has_coarse_stage(coarse_method, coarse_then)
+        return 0 if is_stage else round(coarse_duration_s * rate_hz)
 
     @property
     def counts_before(self) -> bool:
@@ -385,25 +344,19 @@ class Study(_SectionsOfMethods):
     @property
     def schedules(self) -> CodedColumn:
         """Times of the scheduled resets of each variant, s."""
-        if not self.has("resets"):
-            return constant_column(self.n_variants, ())
-        return self.coded(*SCHEDULE_KEYS).map(lambda values: scheduled_reset_times(*values))
+        points = self._points(SCHEDULE_KEYS if self.has("resets") else ())
+        return points.map(lambda values: scheduled_reset_times(*values) if values else ())
 
     def reset_times(self) -> list[tuple[float, ...]]:
         """Return the reset times of each variant, s."""
         return self.schedules.to_list()
 
-    @property
-    def sequential_keys(self) -> list[str]:
-        """The `SEQUENTIAL_KEYS` that are not zero in some variant."""
-        if self.is_recorded:
-            return []
-
-        def is_nonzero(key: str) -> bool:
-            values = (point[key] for point in self.combinations(key))
-            return any(value is None or np.any(value) for value in values)
-
-        return [key for key in SEQUENTIAL_KEYS if is_nonzero(key)]
+    def is_active(self, *keys: str) -> bool:
+        """Return whether one of some keys is drawn, or not zero in some variant."""
+        return any(
+            key in self.drawn_keys or any(np.any(p[key] or 0) for p in self.combinations(key))
+            for key in filter(self.is_readable, keys)
+        )
 
     @property
     def axes_shown(self) -> dict[tuple[str, ...], tuple[Any, ...]]:
@@ -418,9 +371,10 @@ class Study(_SectionsOfMethods):
             first, values = next(iter(dimension.items()))
             if len(set(values)) == len(values):
                 axes[(first,)] = tuple(values)
-            else:
-                given = {k: v for k, v in dimension.items() if k not in self.derived_keys}
-                axes[tuple(given)] = tuple(zip(*given.values(), strict=True))
+                continue
+            derived = {*DERIVED} - {*LAW_KEYS} if self.names_schedules else ()
+            given = {key: v for key, v in dimension.items() if key not in derived}
+            axes[tuple(given)] = tuple(zip(*given.values(), strict=True))
         return axes
 
     @property
@@ -470,15 +424,16 @@ class Study(_SectionsOfMethods):
         for key in self.axis_keys:
             if key != "case":
                 column = self._effective_column(key)
-                codes = unique_with_inverse(codes * len(column.choices) + column.codes)[1]
+                codes = codes * len(column.choices) + column.codes
+                codes = np.unique(codes, return_inverse=True)[1]
         _, first = np.unique(codes, return_index=True)
         return first[codes]
 
     def idle_keys(self) -> list[str]:
         """Return the swept keys whose values differ between variants with the same runs."""
         first = self.duplicate_of
-        swept = {key: self.values(key) for key in self.axis_keys if key != "case"}
-        return [k for k, v in swept.items() if any(v[i] != v[at] for i, at in enumerate(first))]
+        codes = {key: self.coded(key).codes for key in self.axis_keys if key != "case"}
+        return [key for key, of_key in codes.items() if np.any(of_key != of_key[first])]
 
     def _effective_column(self, key: str) -> CodedColumn:
         """Return the values of a key over the variants; all values without effect are equal."""
@@ -486,13 +441,12 @@ class Study(_SectionsOfMethods):
         keys = tuple(dict.fromkeys((key, *deciding_keys(key), *coarse)))
 
         def value(values: tuple[Any, ...]) -> tuple[Any, ...]:
-            values_by_key = dict(zip(keys, values, strict=True))
+            point = dict(zip(keys, values, strict=True))
             # Coarse alignment replaces the initial attitude that is given.
-            is_replaced = coarse and self.has_coarse_stage(*(values_by_key[key] for key in coarse))
-            acts = has_effect(key, values_by_key) and not is_replaced
-            return (values_by_key[key],) if acts else ()
+            is_replaced = coarse and self.has_coarse_stage(*(point[key] for key in coarse))
+            return (point[key],) if has_effect(key, point) and not is_replaced else ()
 
-        return self.coded(*keys).map(value if len(keys) > 1 else lambda v: (v,)).merged()
+        return self._points(keys).map(value).merged()
 
     def variant_values(self) -> dict[str, list[Any]]:
         """Return the values of each axis key, one per variant.
@@ -519,56 +473,68 @@ class Study(_SectionsOfMethods):
         """
         return self.coded(key).to_list()
 
+    def coded(self, *keys: str) -> CodedColumn:
+        """Return the column of a sweepable key, or of combinations of several keys, as tuples.
+
+        Raises:
+            KeyError: no sweepable section of this study has the key.
+        """
+        points = self._points(keys)
+        return points.map(itemgetter(0)) if len(keys) == 1 else points
+
     def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """Yield the distinct combinations of the values of sweepable keys over all variants.
 
-        The value of a drawn key is None.
+        The value of a drawn key is None. Schedules that `schedule` names are derived.
         """
-        if not ({*keys} & {*DERIVED} and self.names_schedules):
+        if not self._follow_schedule(keys):
             yield from self.given_combinations(*keys)
             return
-        points = self.given_combinations(*dict.fromkeys((*keys, *self._law_inputs)))
-        derived = (point | self._derive(point) for point in points)
-        for values in dict.fromkeys(tuple(point[key] for key in keys) for point in derived):
+        for values in self._points(keys).choices:
             yield dict(zip(keys, values, strict=True))
 
     def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
         """Yield the combinations of values as the file gives them, before `derive_schedule`."""
-        points = []
-        for dimension in self.dimensions:
-            if present := [key for key in keys if key in dimension]:
-                rows = dict.fromkeys(zip(*(dimension[key] for key in present), strict=True))
-                points.append([dict(zip(present, row, strict=True)) for row in rows])
-        swept = {key for rows in points for key in rows[0]}
-        fixed = {key: self._constant(key) for key in keys if key not in swept}
-        for parts in product(*points):
-            yield fixed | {key: value for part in parts for key, value in part.items()}
+        fixed = {key: self._constant(key) for key in keys if key not in self.axis_keys}
+        for point in iter_points(self.dimensions, keys):
+            yield fixed | point
 
-    @property
+    @cached_property
+    def _cached_points(self) -> dict[tuple[str, ...], CodedColumn]:
+        return {}
+
+    def _points(self, keys: tuple[str, ...]) -> CodedColumn:
+        """Return the column of the combinations of some keys, as tuples also of one key or none."""
+        if keys not in self._cached_points:
+            inputs = dict.fromkeys(keys)
+            if self._follow_schedule(keys):
+                inputs |= dict.fromkeys(filter(self.is_readable, (*LAW_KEYS, *DERIVED)))
+            choices = tuple(self.given_combinations(*inputs))
+            points = CodedColumn(point_codes(self.dimensions, inputs), choices)
+            if self._follow_schedule(keys):
+                points = points.map(self._derive)
+            of_keys = points.map(lambda point: tuple(point[key] for key in keys))
+            self._cached_points[keys] = of_keys.merged()
+        return self._cached_points[keys]
+
+    def _follow_schedule(self, keys: tuple[str, ...]) -> bool:
+        return not {*keys}.isdisjoint(DERIVED) and self.names_schedules
+
+    def _derive(self, point: dict[str, Any]) -> dict[str, Any]:
+        # The rate of a recorded study is known, and its schedule final, once its record is read.
+        known = dict.fromkeys((*LAW_KEYS, *DERIVED)) | point
+        return point | derive_schedule(self.study.rate_hz or 100.0, known)
+
+    @cached_property
     def names_schedules(self) -> bool:
         """Whether `schedule` decides what the keys of some resets are."""
         if not self.has("resets"):
             return False
         return any(point["schedule"] != "times" for point in self.given_combinations("schedule"))
 
-    @property
-    def derived_keys(self) -> tuple[str, ...]:
-        """Keys of resets whose values follow from `schedule` where it is not 'times'."""
-        return tuple(key for key in DERIVED if key not in LAW_KEYS) if self.names_schedules else ()
-
-    @property
-    def _law_inputs(self) -> list[str]:
-        return [key for key in (*LAW_KEYS, *DERIVED) if self.is_readable(key)]
-
     def is_readable(self, key: str) -> bool:
         """Return whether this study has the section of a sweepable key."""
         return SECTION_OF[key] in SWEEPABLE and self.has(SECTION_OF[key])
-
-    def _derive(self, point: Mapping[str, Any]) -> dict[str, Any]:
-        # The rate of a recorded study is known, and its schedule final, once its record is read.
-        return derive_schedule(
-            self.rate_hz or 100.0, dict.fromkeys((*LAW_KEYS, *DERIVED)) | dict(point)
-        )
 
     def _constant(self, key: str) -> Any:
         if not self.is_readable(key):

@@ -6,7 +6,7 @@ That is judged from the truth: true north, or the reference of a record.
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ class SuccessCriteria(NamedTuple):
     """The criteria of a run with status ``ok``.
 
     Attributes:
-        judged_from: reference of the heading error, the bias floor or the truth.
+        from_truth: whether the heading error is judged from the truth, not from the bias floor.
         band_arcmin: half-width of the band in which the heading error ends.
         level_band_arcmin: half-width of the band in which the level errors end.
         diverged_deg: final heading error beyond which a run has diverged.
@@ -34,16 +34,11 @@ class SuccessCriteria(NamedTuple):
             run.
     """
 
-    judged_from: Literal["truth", "floor"]
+    from_truth: bool
     band_arcmin: float
     level_band_arcmin: float
     diverged_deg: float
     dwell_s: float | None
-
-    @property
-    def from_truth(self) -> bool:
-        """Return whether it is judged from the truth."""
-        return self.judged_from == "truth"
 
     def dwell(self, run_s: ArrayLike) -> NDArray:
         """Return the time in the band that runs of some lengths (s) need, s."""
@@ -61,7 +56,7 @@ def success_criteria(study: Study) -> SuccessCriteria:
         return otherwise(type(settings), key) if given is None else given
 
     return SuccessCriteria(
-        judged_from=settings.judged_from or "truth",
+        from_truth=settings.judged_from != "floor",
         band_arcmin=number("success_band_arcmin"),
         level_band_arcmin=number("level_band_arcmin"),
         diverged_deg=number("diverged_deg"),
@@ -71,8 +66,8 @@ def success_criteria(study: Study) -> SuccessCriteria:
 
 def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
-    success = success_criteria(study).band_arcmin
-    return tuple(dict.fromkeys((*study.study.settle_bands_arcmin, success)))
+    bands = (*study.study.settle_bands_arcmin, success_criteria(study).band_arcmin)
+    return tuple({f"{band:g}": band for band in bands}.values())  # one of each column name
 
 
 class SuccessMeasure(NamedTuple):

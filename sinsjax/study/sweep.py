@@ -5,17 +5,22 @@ Every value is checked as a value of its key. Errors name all wrong values by th
 ``[tune.variables] reset_times_s[1].low``.
 """
 
-import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from sinsjax import gone
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import describe_broken_rule, explain_error, format_list_index, suggest_closest
+from sinsjax.messages import (
+    describe_broken_rule,
+    explain_error,
+    format_count,
+    suggest_closest,
+)
 from sinsjax.study.defaults import GivenKeys, dependent_default
 from sinsjax.study.keys import (
     SECTION_OF,
@@ -25,7 +30,6 @@ from sinsjax.study.keys import (
     TUNABLE,
     TomlTable,
     alternative_keys,
-    leaf_info,
     unknown_key_error,
 )
 from sinsjax.study.schema import INITIAL_NUMBERS, NUMBERS_DRAWN, Distribution, DrawnSection, Range
@@ -37,26 +41,14 @@ TIMES, COUNT = "reset_times_s", "reset_count"
 
 Ranges = dict[str, Range | tuple[Range, ...]]
 
-_VARIABLES = "[tune.variables]"
 _GONE_SETTINGS = ("evolution_screen", "evolution_steps", "feedback_phases")
-"""Settings of [tune] of the search 'covariance' of version 1.0."""
-
-_Forms = Mapping[str, str]
-
-
-def _forms(table: type[BaseModel]) -> _Forms:
-    """Return how the keys of a table are written, for the user."""
-    texts = {name: field.description or "" for name, field in table.model_fields.items()}
-    return {name: f"{name} = {text}" if text[0] == "[" else name for name, text in texts.items()}
-
-
-_LAWS, _RANGES, _NO_FORMS = _forms(Distribution), _forms(Range), _forms(BaseModel)
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-_INSTEAD = {
-    "start_s": "list the start times in [record], one draw each",
-    "attitude_file": "use one study per file",
-} | dict.fromkeys(SECTIONS["study"].model_fields, "all runs share [study]: use one study per value")
-"""What to do instead of varying a key over the variants."""
+_VARYING = {
+    "swept": [k for k, name in SECTION_OF.items() if name in SWEEPABLE and k != "attitude_file"],
+    "tuned": [key for key, name in SECTION_OF.items() if name in TUNABLE],
+    "drawn": [*NUMBERS_DRAWN],
+}
+"""Keys that may vary, by how."""
 
 
 class Sweep(BaseModel):
@@ -78,7 +70,7 @@ class Sweep(BaseModel):
     cases: tuple[TomlTable, ...] = ()
     drawn: DrawnSection | None = None
 
-    @property
+    @cached_property
     def dimensions(self) -> list[Dimension]:
         """Tables of values by key, whose product is the sweep.
 
@@ -90,7 +82,7 @@ class Sweep(BaseModel):
         axes = ({key: values} for key, values in self.axes.items())
         return [*([cases] if cases else ()), *self.zips.values(), *axes]
 
-    @property
+    @cached_property
     def axis_keys(self) -> tuple[str, ...]:
         """Keys that vary over the variants, in the order of the dimensions: cases, zips, axes.
 
@@ -120,42 +112,43 @@ class Sweep(BaseModel):
         return dict.fromkeys(self.drawn_keys, ()) | swept
 
 
-def read_sweep(tables: TomlTable) -> tuple[Sweep, frozenset[str]]:
+def read_sweep(tables: TomlTable, errors: ErrorCollector) -> tuple[Sweep, frozenset[str]]:
     """Return what varies in a study.
 
     Args:
         tables: tables of the file, with tuples for lists.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
 
     Returns:
         Axes, zips, cases and drawn keys; and the keys that some cases have from their sections,
         where they do not count any more.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
     """
-    errors, sweep, inherited = ErrorCollector(), Sweep(), frozenset[str]()
+    reader, axes, zips = _Reader(tables, {}, errors), Dimension(), dict[str, Dimension]()
+    for name, given in tables.get("axes", {}).items():
+        if isinstance(given, Mapping):
+            zips[name] = reader.read_axes(f"[axes.{name}]", given)
+        else:
+            axes |= reader.read_axes("[axes]", {name: given})
+    swept = Sweep(axes=axes, zips=zips).values_varied
+    cases, inherited = tuple[TomlTable, ...](), frozenset[str]()
     with errors.collect():
-        axes, zips = _read_axes(tables)
-        sweep = Sweep(axes=axes, zips=zips)
+        cases, inherited = _read_cases(reader, swept)
+    fixed = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
+    reader.table_of = fixed | reader.table_of
+    drawn = None
     with errors.collect():
-        cases, inherited = _read_cases(tables, sweep.values_varied)
-        sweep = sweep.model_copy(update={"cases": cases})
-    table_of = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
-    with errors.collect():
-        drawn = _read_drawn(tables, table_of | sweep.table_of)
-        sweep = sweep.model_copy(update={"drawn": drawn})
-    errors.raise_all()
-    return sweep, inherited
+        drawn = _read_drawn(tables["drawn"], reader) if "drawn" in tables else None
+    return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn), inherited
 
 
-def check_value(value: Any, key: str, place: str, *, many: bool = False) -> Any:
+def check_value(value: Any, key: str, place: str, *, many: type | None = None) -> Any:
     """Return a value of a key, as a study has it.
 
     Args:
         value: value to check.
         key: leaf key, or ``case``.
         place: place that an error names.
-        many: whether it is a list of values instead.
+        many: ``tuple`` or ``dict`` for several values, in a tuple or by their numbers.
 
     Raises:
         InputError: the key does not accept the value; a line per wrong entry.
@@ -178,13 +171,22 @@ def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     Consequences of these errors are left out: a list too short without its wrong entries, and a
     default that depends on a wrong value.
     """
-
-    def of_whole(detail: ErrorDetails) -> tuple[int | str, ...]:
-        return tuple(part for part in detail["loc"] if not isinstance(part, int))
-
     errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
-    with_entries = {of_whole(detail) for detail in errors if format_list_index(detail)}
-    return [d for d in errors if format_list_index(d) or d["loc"] not in with_entries]
+    wholes = {detail["loc"][:end] for detail in errors for end in range(len(detail["loc"]))}
+    return [detail for detail in errors if detail["loc"] not in wholes]
+
+
+def check_alternatives(table_of: Mapping[str, str]) -> None:
+    """Refuse two keys that are alternatives, by the tables of all keys; each case may have one."""
+    errors, reported = ErrorCollector(), set[str]()
+    for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
+        tables = {table_of.get(first), table_of.get(second)}
+        if None in tables or tables == {"[cases]"} or not reported.isdisjoint((first, second)):
+            continue
+        text = f"conflicts with {second} in {table_of[second]} (give one of them)"
+        errors.add(f"{table_of[first]} {first}: {text}")
+        reported |= {first, second}
+    errors.raise_all()
 
 
 def _check(
@@ -192,24 +194,24 @@ def _check(
     value: Any,
     place: str,
     name: str = "",
-    forms: _Forms = _NO_FORMS,
+    fields: Collection[str] = (),
 ) -> Any:
-    """Return a value as a function of pydantic returns it; an error names its place in a table."""
+    """Return a value as a function of pydantic returns it; an error names its place in a table.
+
+    It is a value of the key ``section.key``, which is its name, or a table with some fields.
+    """
 
     def line(detail: ErrorDetails) -> str:
-        kind, path, hint = detail["type"], "", f" (use {', '.join(forms.values())})"
-        parts = (*detail["loc"], *filter(None, [detail.get("ctx", {}).get("key")]))
-        for part in parts:
+        is_unknown, path = detail["type"] == "extra_forbidden", ""
+        for part in (*detail["loc"], *filter(None, [detail.get("ctx", {}).get("key")])):
             if isinstance(part, int):
                 path += f"[{part}]"
-            elif part in forms or kind == "extra_forbidden":
+            elif part in fields or is_unknown:
                 path += f".{part}"
-        text = explain_error(detail, name)
-        if kind == "extra_forbidden":
-            text = f"unknown key{suggest_closest(str(parts[0]), forms) or hint}"
-        elif forms and kind in ("model_type", "tuple_type", "missing", "too_long"):
-            text += f" (use {forms[str(parts[0])]})" if parts else hint
-        return f"{place}{path}: {text}"
+        text, hint = explain_error(detail, name), f" (use {', '.join(fields)})"
+        if is_unknown:
+            text = f"unknown key{suggest_closest(str(detail['loc'][0]), fields) or hint}"
+        return f"{place}{path}: {text}{hint if detail['type'] == 'model_type' else ''}"
 
     try:
         return validate(value)
@@ -217,10 +219,12 @@ def _check(
         raise InputError(*map(line, correctable_errors(error))) from None
 
 
-@functools.cache
-def _validator(key: str, many: bool = False) -> Callable[[Any], Any]:
-    kind: Any = Name if key == "case" else _type_of(key)
-    return TypeAdapter(tuple[kind, ...] if many else kind, config=_STRICT).validate_python
+@cache
+def _validator(key: str, many: type | None = None) -> Callable[[Any], Any]:
+    one: Any = Name if key == "case" else _type_of(key)
+    listed = Annotated[tuple[one, ...], Field(min_length=1)]
+    kinds: dict[Any, Any] = {None: one, tuple: listed, dict: dict[int, one]}
+    return TypeAdapter(kinds[many], config=_STRICT).validate_python
 
 
 def _type_of(key: str) -> Any:
@@ -232,18 +236,67 @@ def _type_of(key: str) -> Any:
     return Annotated[Union[kinds], *field.metadata] if field.metadata else Union[kinds]  # noqa: UP007
 
 
-def _check_varies(place: str, key: str, sections: Sequence[str], how: str, recorded: bool) -> None:
-    """Refuse a key that is unknown or cannot vary, such as one that cannot be swept or tuned."""
-    section = SECTION_OF.get(key)
-    if section is None:
-        reason = unknown_key_error(key, [k for k, home in SECTION_OF.items() if home in sections])
-    elif section not in sections or key in _INSTEAD:
-        reason = f"cannot be {how} ({_INSTEAD.get(key, f'it is a key of [{section}]')})"
-    elif recorded and section in SIMULATED_ONLY:
-        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
-    else:
-        return
-    raise InputError(f"{place} {key}: {reason}")
+@dataclass
+class _Reader:
+    """The keys that vary, while their tables are read.
+
+    Attributes:
+        tables: tables of the file.
+        table_of: the table, in brackets, of each key so far, which is in one of them.
+        errors: mistakes so far.
+    """
+
+    tables: TomlTable
+    table_of: dict[str, str]
+    errors: ErrorCollector
+
+    def read(
+        self, table: str, how: str, given: Mapping[str, Any], read: Callable[[Any, str, str], Any]
+    ) -> TomlTable:
+        """Return a function of the value, key and place of each key that may vary in a table."""
+        found = TomlTable()
+        for key, value in given.items():
+            with self.errors.collect():
+                if key != "case" or table != "[cases]":
+                    self._check_key(table, how, key)
+                found[key] = read(value, key, f"{table} {key}")
+        return found
+
+    def read_axes(self, table: str, given: Mapping[str, Any]) -> Dimension:
+        """Return the values of an axis, or of the axes that a table varies together."""
+        joint = self.read(table, "swept", given, partial(check_value, many=tuple))
+        if joint.keys() < given.keys():
+            return {}
+        if not given:
+            self.errors.add(f"{table}: must not be empty")
+            return {}
+        first = next(iter(joint))
+        for key, values in joint.items():
+            if len(values) != len(joint[first]):
+                text = f"has {len(values)} values, but {first} has {len(joint[first])}"
+                self.errors.add(f"{table} {key}: {text} (give as many, since they vary together)")
+                return {}
+        with self.errors.collect():
+            _check_distinct(list(zip(*joint.values(), strict=True)), f"{table} {', '.join(joint)}")
+        return joint
+
+    def _check_key(self, table: str, how: str, key: str) -> None:
+        """Refuse a key that is unknown, cannot vary like this or is in another table too."""
+        section, possible, recorded = SECTION_OF.get(key), _VARYING[how], "record" in self.tables
+        if section is None:
+            reason = unknown_key_error(key, possible)
+        elif key not in possible:
+            reason = f"cannot be {how} (give it in [{section}])"
+        elif recorded and section in SIMULATED_ONLY:
+            reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
+        elif recorded and how == "drawn" and key not in INITIAL_NUMBERS:
+            kinds = ", ".join(INITIAL_NUMBERS)
+            reason = f"cannot be drawn in a recorded study (possible: {kinds})"
+        elif (other := self.table_of.setdefault(key, table)) != table:
+            reason = f"is in {other} already (drop one: a key has a value, an axis or a law)"
+        else:
+            return
+        raise InputError(f"{table} {key}: {reason}")
 
 
 def _check_distinct(rows: Sequence[Any], place: str) -> None:
@@ -253,82 +306,34 @@ def _check_distinct(rows: Sequence[Any], place: str) -> None:
             raise InputError(f"{place}[{i}]: repeats [{first[row]}] (drop one of them)")
 
 
-def _read_axes(tables: TomlTable) -> tuple[Dimension, dict[str, Dimension]]:
-    """Return the single axes and the zips."""
-    axes, zips, errors = Dimension(), dict[str, Dimension](), ErrorCollector()
-    given, table_of = tables.get("axes", {}), dict[str, str]()
-    for name in sorted(given, key=lambda name: isinstance(given[name], Mapping)):
-        is_zip = isinstance(given[name], Mapping)
-        table, keys = f"[axes.{name}]" if is_zip else "[axes]", given[name]
-        with errors.collect():
-            dimension = _read_dimension(table, keys if is_zip else {name: keys}, tables)
-            for key in dimension:
-                if table_of.setdefault(key, table) != table:
-                    raise InputError(f"{table} {key}: is an axis already (drop one of them)")
-            zips |= {name: dimension} if is_zip else {}
-            axes |= {} if is_zip else dimension
-    errors.raise_all()
-    return axes, zips
-
-
-def _read_dimension(table: str, keys: Mapping[str, Any], tables: TomlTable) -> Dimension:
-    """Return the values of an axis, or of the axes that a table varies together."""
-    if not keys:
-        raise InputError(f"{table}: must not be empty")
-    joint, errors = Dimension(), ErrorCollector()
-    for key, values in keys.items():
-        with errors.collect():
-            _check_varies(table, key, SWEEPABLE, "swept", "record" in tables)
-            if not isinstance(values, tuple):
-                raise InputError(f"{table} {key}: must be a list of values, not {values!r}")
-            if not values:
-                raise InputError(f"{table} {key}: must not be empty")
-            joint[key] = check_value(values, key, f"{table} {key}", many=True)
-    errors.raise_all()
-    first = next(iter(joint))
-    for key, values in joint.items():
-        if len(values) != len(joint[first]):
-            text = f"has {len(values)} values, but {first} has {len(joint[first])}"
-            raise InputError(f"{table} {key}: {text} (give as many, since they vary together)")
-    _check_distinct(list(zip(*joint.values(), strict=True)), f"{table} {', '.join(joint)}")
-    return joint
-
-
 def _read_cases(
-    tables: TomlTable, axes: Mapping[str, Collection[Any]]
+    reader: _Reader, axes: Mapping[str, Collection[Any]]
 ) -> tuple[tuple[TomlTable, ...], frozenset[str]]:
     """Return the cases, each with the same keys, and the keys that some have from their sections.
 
     A key that a case leaves out has the value of its section, or its default; None if an
     alternative to it is given instead.
     """
+    tables, errors = reader.tables, ErrorCollector()
     rows = tables.get("cases", ())
     if not isinstance(rows, tuple) or not all(isinstance(row, Mapping) for row in rows):
         raise InputError("[cases]: must be tables, each under a line [[cases]]")
     if "cases" in tables and not any(rows):
         raise InputError("[cases]: must not be empty")
     keys = dict.fromkeys(key for row in rows for key in row)
-    given = tables.get("axes", {})
-    zipped = {key for table in given.values() if isinstance(table, Mapping) for key in table}
-    errors, cases = ErrorCollector(), list[TomlTable]()
-    for key in keys:
-        with errors.collect():
-            if key != "case":
-                _check_varies("[cases]", key, SWEEPABLE, "swept", "record" in tables)
-            if key in zipped or not isinstance(given.get(key, {}), Mapping):
-                raise InputError(f"[cases] {key}: is an axis already (drop one of them)")
-    errors.raise_all()
+    columns = {key: {i: row[key] for i, row in enumerate(rows) if key in row} for key in keys}
+    read = reader.read("[cases]", "swept", columns, partial(check_value, many=dict))
+    if read.keys() < keys.keys():
+        return (), frozenset()
     for i, row in enumerate(rows):
-        cases.append({})
-        for key, value in row.items():
-            with errors.collect():
-                cases[i][key] = check_value(value, key, f"[cases] {key}[{i}]")
-                for other in sorted(alternative_keys(key) & row.keys()):
-                    text = f"conflicts with {other} in the same case (give one of them)"
-                    raise InputError(f"[cases] {key}[{i}]: {text}")
+        for key in row:
+            for other in sorted(alternative_keys(key) & row.keys()):
+                text = f"conflicts with {other} in the same case (give one of them)"
+                errors.add(f"[cases] {key}[{i}]: {text}")
         if "case" in keys and "case" not in row:
             errors.add(f"[cases] case[{i}]: is not in every case (give it in all of them)")
     errors.raise_all()
+    cases = [{key: read[key][i] for key in row} for i, row in enumerate(rows)]
     inherited = [key for key in keys if any(key not in row for row in rows)]
     # What a case without a key has in its place differs from case to case too.
     acting = [
@@ -367,139 +372,91 @@ def _inherited_value(key: str, given: GivenKeys) -> Any:
     return default
 
 
-def _read_drawn(tables: TomlTable, table_of: Mapping[str, str]) -> DrawnSection | None:
+def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
     """Return the distributions of the drawn keys, none of which is given elsewhere."""
-    if "drawn" not in tables:
-        return None
-    table, errors = dict(tables["drawn"]), ErrorCollector()
-    sampling = {"sampling": table.pop("sampling")} if "sampling" in table else {}
-    if not table:
+    keys = {key: law for key, law in given.items() if key != "sampling"}
+    if not keys:
         raise InputError("[drawn]: has no key to draw (drop it)")
-    for key in table:
-        with errors.collect():
-            _check_drawable(key, "record" in tables)
-            if key in table_of:
-                raise InputError(f"[drawn] {key}: is in {table_of[key]} already (drop one of them)")
-            place = f"[drawn] {key}"
-            law = _check(Distribution.model_validate, table[key], place, forms=_LAWS)
-            for name in ("values", "grid"):
-                if entries := getattr(law, name):
-                    entries = check_value(entries, key, f"{place}.{name}", many=True)
-                    law = law.model_copy(update={name: entries})
-            table[key] = law
-    with errors.collect():
-        _check(DrawnSection.model_validate, sampling, "[drawn] sampling")
-    errors.raise_all()
-    return DrawnSection.model_validate(sampling | table)
+    laws = reader.read("[drawn]", "drawn", keys, _read_law)
+    sampling = {"sampling": given["sampling"]} if "sampling" in given else {}
+    _check(DrawnSection.model_validate, sampling, "[drawn] sampling")
+    return DrawnSection.model_validate(sampling | laws)
 
 
-def _check_drawable(key: str, recorded: bool) -> None:
-    """Refuse a key that is unknown or cannot be drawn."""
-    section, initial = SECTION_OF.get(key), ", ".join(INITIAL_NUMBERS)
-    if section is None:
-        reason = unknown_key_error(key, NUMBERS_DRAWN)
-    elif key not in NUMBERS_DRAWN:
-        kinds = f"latitude_deg, keys of [motion] and [sensors], {initial}"
-        reason = f"cannot be drawn (possible: {kinds})"
-    elif recorded and section in SIMULATED_ONLY:
-        reason = f"does not apply to a recorded study (drop it, [{section}] is for simulations)"
-    elif recorded and key not in INITIAL_NUMBERS:
-        reason = f"cannot be drawn in a recorded study (possible: {initial})"
-    else:
-        return
-    raise InputError(f"[drawn] {key}: {reason}")
+def _read_law(value: Any, key: str, place: str) -> Distribution:
+    fields = Distribution.model_fields
+    law: Distribution = _check(Distribution.model_validate, value, place, fields=fields)
+    for name in ("values", "grid"):
+        if entries := getattr(law, name):
+            entries = check_value(entries, key, f"{place}.{name}", many=tuple)
+            law = law.model_copy(update={name: entries})
+    return law
 
 
-def read_tune_section(table: TomlTable, varied: Mapping[str, str], *, recorded: bool) -> TomlTable:
-    """Return the section [tune] with checked ranges and values.
+def read_tune_section(
+    table: TomlTable, tables: TomlTable, varied: Mapping[str, str], errors: ErrorCollector
+) -> TomlTable:
+    """Return the section [tune] with checked ranges and values, without those that are wrong.
 
     Args:
-        table: table of the file, with tuples for lists.
+        table: its keys, with tuples for lists.
+        tables: tables of the file.
         varied: the table, in brackets, of each key that is swept or drawn.
-        recorded: whether the study reads a record.
-
-    Raises:
-        InputError: ``[table] key: what is wrong (hint)``.
+        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
     """
-    table, errors = dict(table), ErrorCollector()
-    for key in table if recorded else ():
-        if leaf_info(key).in_simulation is not None:
-            text = "does not apply to a recorded study (drop it: tuning uses the start times)"
-            errors.add(f"[tune] {key}: {text}")
+    table = dict(table)
     for name, read in (("variables", _read_range), ("baseline", check_value)):
-        given, place = table.get(name, {}), f"[tune.{name}]"
-        if not isinstance(given, Mapping):
-            errors.add(f"[tune] {name}: must be a table of keys")
-            continue
-        later = dict.fromkeys(given, place)
-        if name == "variables" and {TIMES, COUNT} <= given.keys():
-            del later[COUNT]
-        for key, value in given.items():
+        given, place = table.get(name), f"[tune.{name}]"
+        if isinstance(given, Mapping):
+            table[name] = _Reader(tables, dict(varied), errors).read(place, "tuned", given, read)
+            own = dict.fromkeys(given, place)
+            if name == "variables" and {TIMES, COUNT} <= given.keys():
+                del own[COUNT]
             with errors.collect():
-                later.pop(key, None)
-                _check_varies(place, key, TUNABLE, "tuned", recorded)
-                if key in varied:
-                    raise InputError(
-                        f"{place} {key}: is in {varied[key]} already (drop one of them)"
-                    )
-                others = {**varied, **later}
-                for other in sorted(alternative_keys(key) & others.keys()):
-                    text = f"conflicts with {other} in {others[other]} (give one of them)"
-                    raise InputError(f"{place} {key}: {text}")
-                table[name] = table[name] | {key: read(value, key, f"{place} {key}")}
-    if "variables" in table and not table["variables"]:
-        errors.add(f"{_VARIABLES}: has no key to tune (give one with its range)")
-    errors.raise_all()
-    times, count = (table.get("variables", {}).get(key) for key in (TIMES, COUNT))
+                check_alternatives({**varied, **own})
+            if name == "variables" and not given:
+                errors.add(f"{place}: has no key to tune (give one with its range)")
+    variables = table["variables"] if isinstance(table.get("variables"), dict) else {}
+    times, count = variables.get(TIMES), variables.get(COUNT)
     for number in (count.candidates or (count.fixed,)) if count and times else ():
         if isinstance(times, tuple) and number > len(times):
             text = f"{number} are more than the {len(times)} ranges of {TIMES} (add ranges)"
-            raise InputError(f"{_VARIABLES} {COUNT}: {text}")
+            errors.add(f"[tune.variables] {COUNT}: {text}")
     return table
 
 
 def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
     """Return the range of a key: of its number, of each entry of its list, or its candidates."""
     kind = _type_of(key)
-    entries = _entry_types(kind)
+    entries = next((get_args(k) for k in _iter_types(kind) if get_origin(k) is tuple), ())
     if not isinstance(value, tuple):
         if entries and isinstance(value, Mapping) and value.keys() & {"low", "high"}:
             raise InputError(f"{place}: needs a list with one range per entry, not one range")
         return _check_range(value, kind, place)
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
-    if not value:
-        raise InputError(f"{place}: must not be empty")
-    if Ellipsis not in entries and len(value) != len(entries):
-        raise InputError(f"{place}: must have {len(entries)} ranges, not {len(value)}")
-    errors, ranges = ErrorCollector(), list[Range]()
+    if len(value) != (count := len(value) or 1 if Ellipsis in entries else len(entries)):
+        raise InputError(f"{place}: must have {format_count(count, 'range')}, not {len(value)}")
+    ranges = list[Range]()
     for i, entry in enumerate(value):
-        with errors.collect():
-            ranges.append(_check_range(entry, entries[0], f"{place}[{i}]"))
-            if ranges[-1].candidates is not None:
-                text = "must be of the whole key, not of one entry"
-                raise InputError(f"{place}[{i}].candidates: {text}")
-    errors.raise_all()
+        ranges.append(_check_range(entry, entries[0], f"{place}[{i}]"))
+        if ranges[i].candidates is not None:
+            raise InputError(f"{place}[{i}].candidates: must be of the whole key, not of one entry")
     return tuple(ranges)
 
 
 def _check_range(value: Any, kind: Any, place: str) -> Range:
     """Return a range with values of a type."""
     range_of: Any = Range
-    found = _check(range_of[kind, kind].model_validate, value, place, forms=_RANGES)
+    found = _check(range_of[kind, kind].model_validate, value, place, fields=Range.model_fields)
     return Range.model_construct(**dict(found))  # a class that other processes have
 
 
-def _entry_types(kind: Any) -> tuple[Any, ...]:
-    """Return the types of the entries of a list key; empty for other keys."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin is tuple:
-        return arguments
-    if origin is Annotated:
-        return _entry_types(arguments[0])
-    if origin in (Union, UnionType):
-        return next(filter(None, map(_entry_types, arguments)), ())
-    return ()
+def _iter_types(kind: Any) -> Iterator[Any]:
+    """Yield a type, and all types within it."""
+    yield kind
+    for part in get_args(kind):
+        yield from _iter_types(part)
 
 
 def without_gone_settings(tables: TomlTable) -> TomlTable:
@@ -511,10 +468,3 @@ def without_gone_settings(tables: TomlTable) -> TomlTable:
     if not isinstance(tune, Mapping):
         return tables
     return tables | {"tune": {k: v for k, v in tune.items() if k not in _GONE_SETTINGS}}
-
-
-def describe_gone_settings(tables: TomlTable) -> list[str]:
-    """Return a line about the settings that `without_gone_settings` takes out, if there are any."""
-    found = [key for key in _GONE_SETTINGS if key in tables.get("tune", ())]
-    text = gone.LINE.format("drop it: only the search 'covariance' read it")
-    return [f"[tune] {', '.join(found)}: {text}."] if found else []

@@ -19,10 +19,20 @@ Lookup = Callable[[str], Any]
 
 
 class Variants:
-    """Columns of a study for some of its variants: `methods.method.StudyKeys`.
+    """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
         ids: (variants,) numbers of the variants in the study.
+        record_interval_s: time between two record times, s.
+        run_s: length of the shortest run, s.
+        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
+        site: `methods.method.Site` of these variants; for params only.
+        micro_g: the micro-g that the study counts in, m/s^2; for params only.
+        combinations: (keys) -> their distinct combinations over all variants as dictionaries; a
+            drawn key is None.
+        given_combinations: the same as the file gives them, before others decide their values.
+        given_in: (key) -> the table, in brackets, that gives a key; None if it is left out.
+        refuse: (key, text) raises the `InputError` of a key: ``[section] key: text``.
     """
 
     def __init__(
@@ -43,29 +53,13 @@ class Variants:
             site: `methods.method.Site` of the variants, for the params of a method.
             micro_g: the micro-g that the study counts in, m/s^2, likewise.
         """
-        self._study = study
+        self._study, self._drawn = study, drawn or {}
+        self.ids, self.count = ids, len(ids)
         self.site, self.micro_g = site, micro_g
-        self.run_s, self.is_recorded = study.run_s, study.is_recorded
-        self.given_in, self.refuse = study.given_in, study.refuse
-        self.record_interval_s = study.study.record_interval_s
+        self.run_s, self.end, self.rate_hz = study.run_s, study.end, study.rate_hz
+        self.record_interval_s, self.is_recorded = study.study.record_interval_s, study.is_recorded
+        self.has, self.given_in, self.refuse = study.has, study.given_in, study.refuse
         self.combinations, self.given_combinations = study.combinations, study.given_combinations
-        self._drawn = drawn or {}
-        self.ids = ids
-
-    @property
-    def end(self) -> str:
-        """The end of the study's shortest run, in words."""
-        return self._study.end
-
-    @property
-    def count(self) -> int:
-        """Number of variants."""
-        return len(self.ids)
-
-    @property
-    def rate_hz(self) -> float:
-        """Sample rate of the study, Hz."""
-        return self._study.rate_hz
 
     @property
     def data_end_s(self) -> float:
@@ -77,18 +71,18 @@ class Variants:
         """Attitude of the base over time, if the study has a file of it."""
         return read_attitude(self._study)
 
-    def has(self, section: str) -> bool:
-        """Return whether the study has a section."""
-        return getattr(self._study, section) is not None
-
     @cached_property
     def _are_all(self) -> bool:
-        return len(self.ids) == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
+        return self.count == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return a column for these variants, see `SweepColumns.column`."""
+        """Return the column of these variants, see `Study.coded`."""
         whole = self._study.coded(*keys)
-        return whole if self._are_all else whole._replace(codes=whole.codes[self.ids])
+        return whole if self._are_all else whole.take(self.ids)
+
+    def _map(self, function: Callable[..., Any], keys: tuple[str, ...]) -> CodedColumn:
+        """Return the column of a function of the values of some keys."""
+        return self.coded(*keys).map(function if len(keys) == 1 else lambda row: function(*row))
 
     def value(self, key: str, variant: int) -> Any:
         """Return the value of a key in the variant with this index in the part."""
@@ -98,7 +92,7 @@ class Variants:
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
         """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
         if key in self._study.drawn_keys:
-            return np.zeros(len(self.ids))
+            return np.zeros(self.count)
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
     def si(self, key: str) -> np.ndarray:
@@ -109,27 +103,19 @@ class Variants:
         """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
         law = None if self._study.drawn is None else self._study.drawn.laws.get(key)
         if law is not None:
-            return np.full(len(self.ids), law.rms)
+            return np.full(self.count, law.rms)
         return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
 
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
         """Return a function of the values of some keys, called once per combination."""
-        column = self.coded(*keys)
-        if len(keys) == 1:
-            return column.compute(function, dtype)
-        return column.compute(lambda values: function(*values), dtype)
+        return self._map(function, keys).expand(dtype)
 
     def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
         """Return a function that gives lists, (variants, longest), padded with ``padding``."""
-        column = self.coded(*keys)
-        lists_column = column.map(function if len(keys) == 1 else lambda values: function(*values))
-        present = np.flatnonzero(
-            np.bincount(lists_column.codes, minlength=len(lists_column.choices))
-        )
-        longest = max(len(lists_column.choices[code]) for code in present)
-        return lists_column.compute(
-            lambda entries: [*entries, *([padding] * (longest - len(entries)))][:longest]
-        )
+        column = self._map(function, keys)
+        longest = max(map(len, column.choices))
+        padded = column.map(lambda entries: [*entries, *[padding] * (longest - len(entries))])
+        return padded.expand()
 
     def common(self, key: str) -> Any:
         """Return the value of a key that all these variants share.

@@ -168,21 +168,6 @@ def test_variants_are_numbered_like_itertools_product(sweep, data):
     assert set(found) == met and len(found) == len(met)
 
 
-def test_values_are_those_of_each_variant():
-    study = study_from_dict(tomllib.loads(FULL))
-    assert study.axis_keys == ("case", "phi_u0_deg", "reset_count", "misalignment")
-    assert study.values("phi_u0_deg") == [0.0] * 6 + [30.0] * 6
-    assert study.values("phi_e0_deg") == [5.0] * 12
-    for key in ("start_s", "seed", "nonsense"):
-        with pytest.raises(KeyError):
-            study.values(key)
-    # A required key may be swept alone.
-    data = {"study": SIMULATED["study"], "motion": SIMULATED["motion"]}
-    study = build_study(data, axes={"latitude_deg": [0, 80]})
-    assert study.values("latitude_deg") == [0.0, 80.0]
-    assert study_from_dict(study.to_dict()).axes == study.axes
-
-
 # Files
 
 
@@ -322,8 +307,3 @@ def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):
     assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
     assert f"{study.n_variants:,} variant" in facts[0] and study.methods[0] in facts[2]
     assert study_from_dict(tomllib.loads(tomli_w.dumps(study.to_dict()))) == study
-
-
-def test_display_escapes_text_from_a_file():
-    study = small_study(study={"name": "<script>&"})
-    assert "<script>" not in study._repr_html_() and "&lt;script&gt;&amp;" in study._repr_html_()
