@@ -113,11 +113,7 @@ def export_study(  # noqa: PLR0913
         ['README.txt', 'export.json', 'initial.csv', 'study.toml', 'truth.parquet']
     """
     runtime.ensure_configured()
-    study, out, form = (
-        load_study(study),
-        results_path(directory),
-        Form(format, quantity, frame, blind),
-    )
+    study, form = load_study(study), Form(format, quantity, frame, blind)
     check_simulated(study)
     for option, choices in _CHOICES.items():
         if (value := getattr(form, option)) not in choices:
@@ -129,17 +125,17 @@ def export_study(  # noqa: PLR0913
     if not 0 <= first < end <= study.n_draws:
         text = f"must be A:B with 0 <= A < B <= {study.n_draws}, the draws of {study.name}"
         raise InputError(f"draws: {first}:{end}: {text}")
+    out = results_path(directory)
+    _check_target(out, overwrite=overwrite)
     if study.drawn is None or study.drawn.sampling == "random":  # else fewer draws are others
         study = with_draws(study, end)
     runs = ProgramRuns(study, range(first, end))
-    initial = pa.table(initial_rows(runs, form))
     contents = {
         STUDY: study_to_toml(study).encode(),
         README: describe_export(study.name, fingerprint(study), **form._asdict()).encode(),
-        INITIAL: _csv_bytes(initial),
+        INITIAL: _csv_bytes(pa.table(initial_rows(runs, form))),
         **({} if blind else {TRUTH: _truth_parquet(runs, form)}),
     }
-    _check_target(out, overwrite=overwrite)
     lock = lock_directory(out)
     try:
         _remove_export(out)
@@ -222,7 +218,7 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
         InputError: it is no complete export, or one of its files has changed.
     """
     check_directory(directory)
-    again = "(`sinsjax export --overwrite` makes it again)"
+    again = "(`sinsjax export` writes one, with --overwrite in place of this)"
     try:
         manifest = sealed.read_sealed_json(directory / MANIFEST)
     except FileNotFoundError:

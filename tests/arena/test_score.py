@@ -64,10 +64,9 @@ class Arena:
         ours = pc.is_in(curves["run_id"], first["run_id"].combine_chunks())
         self.curves = curves.filter(ours).combine_chunks()
 
-    def history(self, *names: str) -> pa.Table:
+    def history(self) -> pa.Table:
         """The program's results at all record times."""
-        names = names or ANGLES
-        table = self.curves.select(["run_id", "time_s", *names])
+        table = self.curves.select(["run_id", "time_s", *ANGLES])
         return table.append_column("study", pa.array([self.digest] * len(table)))
 
     def last(self) -> pa.Table:
@@ -75,18 +74,14 @@ class Arena:
         table = self.history()
         return table.filter(pc.equal(table["time_s"], 40.0))
 
-    def write(self, table: pa.Table, path: Path) -> Path:
-        """Write results as CSV or Parquet."""
-        write = pq.write_table if path.suffix == ".parquet" else pyarrow.csv.write_csv
-        write(table, path)
-        return path
-
     def score(self, table: pa.Table, folder: Path, **options: Any) -> Score:
-        """Score some results against the sweep."""
-        path = self.write(table, folder / "mine.csv")
-        return score_results(
-            self.export, path, against=self.sweep, out=folder / "scored", **options
-        )
+        """Score some results against the sweep, those with metadata from a Parquet file."""
+        write, path = pyarrow.csv.write_csv, folder / "mine.csv"
+        if table.schema.metadata:
+            write, path = pq.write_table, folder / "mine.parquet"
+        write(table, path)
+        options = {"export": self.export, "against": self.sweep, "out": folder / "scored"} | options
+        return score_results(options.pop("export"), path, **options)
 
 
 @pytest.fixture(scope="module")
@@ -137,16 +132,14 @@ def test_methods_own_attitudes_get_the_methods_own_row_among_those_of_the_sweep(
 
 def test_some_of_the_draws_are_scored_alone(arena: Arena, tmp_path: Path) -> None:
     export = export_study(arena.study, tmp_path / "some", draws=(2, 5))
-    first = pyarrow.csv.read_csv(export / "initial.csv")
-    table, ids = arena.last(), first["run_id"].combine_chunks()
-    digest = pa.array([first["study"][0].as_py()] * len(table))
-    table = replace(table, study=digest).filter(pc.is_in(table["run_id"], ids))
-    path = arena.write(table, tmp_path / "mine.csv")
-    score = score_results(export, path, against=arena.sweep, out=tmp_path / "out")
+    first, table = pyarrow.csv.read_csv(export / "initial.csv"), arena.last()
+    table = replace(table, study=[first["study"][0].as_py()] * len(table))
+    some = table.filter(pc.is_in(table["run_id"], first["run_id"].combine_chunks()))
+    score = arena.score(some, tmp_path, export=export)
     assert score.missing == [] and score.comparison.draws == 3
-    whole = rows_of(arena.score(arena.last(), tmp_path), "mine")
-    expected = whole["phi_u_arcmin"].to_pylist()[4:10]
-    assert rows_of(score, "mine")["phi_u_arcmin"].to_pylist() == expected
+    found = rows_of(score, "mine")["phi_u_arcmin"].to_pylist()
+    whole = rows_of(arena.score(arena.last(), tmp_path, overwrite=True), "mine")
+    assert found == whole["phi_u_arcmin"].to_pylist()[4:10]
 
 
 def test_results_may_be_quaternions_of_the_other_frame_or_by_draw(
@@ -154,23 +147,21 @@ def test_results_may_be_quaternions_of_the_other_frame_or_by_draw(
 ) -> None:
     table = arena.last()
     angles = {name: table[name].to_numpy() for name in ANGLES}
-    radians = np.radians(np.stack([*angles.values()], axis=-1))
-    q = to_quaternion(from_angles(radians, "enu"), "ned")
-    first = pyarrow.csv.read_csv(arena.export / "initial.csv").to_pandas().set_index("run_id")
-    by_draw = first.loc[table["run_id"].to_numpy()]
-    run = {"run_id": table["run_id"]}
-    forms: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "draw": ({key: by_draw[key].to_numpy() for key in ("draw_id", "variant_id")}, angles),
-        "ned": (run, angles | {"yaw_deg": -angles["yaw_deg"]}),
-        "q ned": (run, {f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}),
-    }
+    q = to_quaternion(from_angles(np.radians(np.stack([*angles.values()], -1)), "enu"), "ned")
+    draw, variant = np.divmod(table["run_id"].to_numpy(), arena.study.n_variants)
+    end = {name: table[name] for name in ("time_s", "study")}
+    run = end | {"run_id": table["run_id"]}
+    metadata = {"study": arena.digest, "frame": "ned"}
+    forms: list[tuple[pa.Table, dict[str, str]]] = [
+        (pa.table(end | angles | {"draw_id": draw, "variant_id": variant}), {}),
+        (pa.table(run | angles | {"yaw_deg": -angles["yaw_deg"]}), {"frame": "ned"}),
+        (pa.table(run | {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}, metadata=metadata), {}),
+    ]
     expected = numeric_column(rows_of(arena.score(table, tmp_path), "mine"), "phi_u_arcmin")
-    for name, (runs, attitude) in forms.items():
-        given = pa.table(runs | {"time_s": table["time_s"], "study": table["study"]} | attitude)
-        frame = {"frame": "ned"} if "ned" in name else {}
+    for given, frame in forms:
         score = arena.score(given, tmp_path, overwrite=True, **frame)
         found = numeric_column(rows_of(score, "mine"), "phi_u_arcmin")
-        np.testing.assert_allclose(found, expected, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_sigmas_give_nees_and_the_share_of_p_above_the_error(arena: Arena, tmp_path: Path) -> None:
@@ -282,8 +273,8 @@ def test_other_quaternions_are_suspected_by_name(arena: Arena, tmp_path: Path) -
 
 def test_second_program_joins_the_first(arena: Arena, tmp_path: Path) -> None:
     first = arena.score(arena.history(), tmp_path)
-    path = arena.write(arena.last(), tmp_path / "other.csv")
-    second = score_results(arena.export, path, against=first.directory, out=tmp_path / "both")
+    options = {"against": first.directory, "out": tmp_path / "both", "name": "other"}
+    second = arena.score(arena.last(), tmp_path, **options)
     assert second.study.methods == ("compass", "inertial", "mine", "other")
     assert second.comparison.options == 2
     mine = rows_of(second, "mine")["phi_u_arcmin"].to_pylist()
@@ -362,15 +353,15 @@ def test_pipe_or_another_frame_than_that_of_the_file_is_refused(
 def test_export_that_has_changed_is_refused(name: str, arena: Arena, tmp_path: Path) -> None:
     changed = Path(shutil.copytree(arena.export, tmp_path / "changed"))
     (changed / name).write_text((changed / name).read_text().replace("1", "2", 1))
-    path = arena.write(arena.last(), tmp_path / "mine.csv")
     with pytest.raises(InputError, match=rf"{name}: has changed since it was exported"):
-        score_results(changed, path, against=arena.sweep)
+        arena.score(arena.last(), tmp_path, export=changed)
 
 
 def test_other_mistakes_of_a_score_are_one_line(
     arena: Arena, tmp_path: Path, command: Command
 ) -> None:
-    path = arena.write(arena.last(), tmp_path / "mine.csv")
+    path = tmp_path / "mine.csv"
+    pyarrow.csv.write_csv(arena.last(), path)
     other, out, against = small_study(study={"draws": 2}), tmp_path / "out", "--against"
     store_results(tmp_path / "other", other, synthetic_summary(other))
     few = arena.study.replace({"study.draws": 3})
