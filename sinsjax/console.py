@@ -3,6 +3,7 @@
 The reader may leave early (``| head -1``), and the disk it is redirected to may be full.
 """
 
+import io
 import os
 import sys
 from collections.abc import Iterator
@@ -44,36 +45,28 @@ def print_line(console: Console, text: str, *, style: str = "", wrap: bool = Fal
 
 
 class _FailsafeStream:
-    """A stream whose write errors are remembered instead of raised.
-
-    The stream is None if it was closed before Python started, as for a daemon.
-    """
+    """A stream whose write errors are remembered instead of raised; nothing if it is closed."""
 
     def __init__(self, stream: Any) -> None:
-        self._stream = stream
+        self._stream = io.StringIO() if stream is None else stream
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:
-        if self._stream is not None:
-            self._try(self._stream.write, text)
+        self._try(self._stream.write, text)
         return len(text)
 
     def flush(self) -> None:
-        if self._stream is not None:
-            self._try(self._stream.flush)
+        self._try(self._stream.flush)
 
     def _try(self, operation: Any, *arguments: str) -> None:
-        if self.error is not None:
-            return
         try:
-            operation(*arguments)
+            if self.error is None:
+                operation(*arguments)
         except OSError as error:
             self.error = error
             # Discards buffered text, or Python reports the same error once more at exit.
             with suppress(OSError, ValueError):
-                nowhere = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nowhere, self._stream.fileno())
-                os.close(nowhere)
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -40,6 +40,7 @@ COMMANDS: dict[str, str] = {
 OPTIONS: dict[tuple[str, str], str] = {
     ("export", "--resume"): "export again, with --overwrite",
     ("report", "--page"): "use --html FILE",
+    ("schedule", "--study"): 'write schedule = "law" in [resets], or --set resets.schedule=law',
     ("sweep", "--workers"): "start `dask scheduler` and `dask worker`, give --scheduler URL",
 }
 """Options, by command and option with its dashes."""

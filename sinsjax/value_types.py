@@ -8,7 +8,7 @@ from functools import cache
 from inspect import signature
 from itertools import combinations, pairwise
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -55,8 +55,6 @@ class KeyInfo(NamedTuple):
         in_simulation: value of an omitted key in a simulation; a record determines its own.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
-        merged: whether a search merges times of a list that round to the same sample; otherwise it
-            separates them by one sample.
         time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
@@ -71,9 +69,8 @@ class KeyInfo(NamedTuple):
     beside: str | None = None
     same_as: str | float | None = None
     otherwise: str | float | None = None
-    in_simulation: int | None = None
+    in_simulation: float | None = None
     whole: str | None = None
-    merged: bool = False
     time: str | None = None
     alternative_to: str | None = None
     acts_as: Effect | None = None
@@ -92,13 +89,17 @@ class KeyCondition(NamedTuple):
         keys: the keys concerned.
         given: the keys that the condition depends on.
         acts: (values of ``given``) -> whether ``keys`` act; a drawn value is None.
-        refused: whether a value that would be ignored is an error.
+        refused: whether a value that no run reads is an error.
     """
 
     keys: tuple[str, ...]
     given: tuple[str, ...]
     acts: Callable[..., bool]
     refused: bool = False
+
+    def acts_at(self, points: Iterable[Mapping[str, Any]]) -> bool:
+        """Return whether ``keys`` act with the values of ``given`` at one of some points."""
+        return any(self.acts(*(point[key] for key in self.given)) for point in points)
 
 
 def field(meaning: str, default: Any = None, /, **properties: Any) -> Any:
@@ -230,24 +231,15 @@ Starts = Annotated[
     AfterValidator(require_unique),
 ]
 EventTimes = Annotated[tuple[SecondsOrZero, ...], AfterValidator(_require_increasing)]
-Numbers = Annotated[
-    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, ...], Tag("list")],
-    Discriminator(_vector_tag),
+_N = TypeVar("_N")
+_List = TypeVar("_List")
+_NumberOr = Annotated[
+    Annotated[_N, Tag("number")] | Annotated[_List, Tag("list")], Discriminator(_vector_tag)
 ]
-Vector = Annotated[
-    Annotated[Finite, Tag("number")] | Annotated[tuple[Finite, Finite, Finite], Tag("list")],
-    Discriminator(_vector_tag),
-]
-NoisePerAxis = Annotated[
-    Annotated[NonNegative, Tag("number")]
-    | Annotated[tuple[NonNegative, NonNegative, NonNegative], Tag("list")],
-    Discriminator(_vector_tag),
-]
-CrossAxis = Annotated[
-    Annotated[Finite, Tag("number")]
-    | Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], Tag("list")],
-    Discriminator(_vector_tag),
-]
+Numbers = _NumberOr[Finite, tuple[Finite, ...]]
+Vector = _NumberOr[Finite, tuple[Finite, Finite, Finite]]
+NoisePerAxis = _NumberOr[NonNegative, tuple[NonNegative, NonNegative, NonNegative]]
+CrossAxis = _NumberOr[Finite, tuple[Finite, Finite, Finite, Finite, Finite, Finite]]
 PassNumbers = Annotated[
     tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_require_increasing)
 ]

@@ -506,19 +506,20 @@ def read_motion(keys: Variants) -> Motion:
 def add_turns(motion: Motion, keys: Variants) -> Motion:
     """Return the motion of the base with its turns, if it has any."""
     values, rate_hz = {key: keys.common(key) for key in TURN_KEYS}, keys.rate_hz
-    if not values["turn_times_s"]:
+    turns_given = values["turn_times_s"]
+    plan = turns_in_samples(rate_hz, data_end_s(keys.study), values) if turns_given else []
+    if not plan:
         return motion
-    plan = turns_in_samples(rate_hz, data_end_s(keys.study), values)
-    count, angles = len(plan.turns), np.array([turn.angle_deg for turn in plan.turns])
+    begin, length, ramp, angles, rate = np.array(plan, float).T
     turns = Turns(
-        begin=np.array([turn.begin for turn in plan.turns]) / rate_hz,
-        length=np.array([turn.length for turn in plan.turns]) / rate_hz,
-        ramp=np.full(count, plan.ramp / rate_hz),
-        rate=np.array([turn.rate_deg_per_s for turn in plan.turns]) * DEG,
+        begin=begin / rate_hz,
+        length=length / rate_hz,
+        ramp=ramp / rate_hz,
+        rate=rate * DEG,
         before=np.remainder(np.cumsum(angles) - angles, 360.0) * DEG,
     )
     # With turns that never begin, so that few programs are compiled.
-    unused = (0, 2 ** (count - 1).bit_length() - count)
+    unused = (0, 2 ** (len(plan) - 1).bit_length() - len(plan))
     begin = np.pad(turns.begin, unused, constant_values=_NEVER_S)
     turns = Turns(*(np.pad(a, unused, mode="edge") for a in turns))._replace(begin=begin)
     if values["turn_axis"] == "body":

@@ -69,6 +69,7 @@ class AlignmentSection(Section):
         "interval between feedbacks into the navigation solution",
         otherwise="one sample",
         whole="sample",
+        time="s",
     )
     feedback_time_constant_s: vt.SecondsOrZero | None = field(
         "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="

@@ -4,7 +4,7 @@ Most defaults are those of the fields. Those here depend on other keys, or on wh
 recorded.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.methods.registry import METHODS, SECTIONS_OF_METHODS, unread_keys
@@ -48,23 +48,14 @@ class GivenKeys(NamedTuple):
         return {value if isinstance(value, str) else default}  # others are refused later
 
 
-def _height(given: GivenKeys) -> float | None:
-    return None if given.is_recorded else 0.0
+_WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
 
 
-def _feedback_interval(given: GivenKeys) -> float | None:
+def _sample_time(given: GivenKeys) -> float | None:
     """Return the time between two samples, s; None until a valid rate is known."""
     rate_hz = given.tables.get("study", {}).get("rate_hz")
     known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
     return 1 / rate_hz if known else None
-
-
-_WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
-_DEPENDENT: dict[str, Callable[[GivenKeys], Any]] = {
-    "height_m": _height,
-    "feedback_interval_s": _feedback_interval,
-    **dict.fromkeys(_WHITE_NOISE, lambda given: 0.0),
-}
 
 
 def dependent_default(key: str, given: GivenKeys) -> Any:
@@ -79,10 +70,10 @@ def dependent_default(key: str, given: GivenKeys) -> Any:
         return None
     if info.in_simulation is not None:
         return None if given.is_recorded else info.in_simulation
-    if key in EARTH_CONSTANTS:
-        return EARTH_CONSTANTS[key]
-    if key in _DEPENDENT:
-        return _DEPENDENT[key](given)
+    if key == "feedback_interval_s":
+        return _sample_time(given)
+    if key in _WHITE_NOISE:
+        return 0.0
     applies = info.beside is None or given.words(info.beside) - {None, "none"}
     return info.default if applies else None
 

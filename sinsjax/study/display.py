@@ -1,7 +1,6 @@
-"""Short displays of an object as text and as HTML, for interactive sessions and notebooks."""
+"""Short displays of an object as text, for interactive sessions and notebooks."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 from sinsjax.messages import escape_controls, shorten
@@ -18,14 +17,6 @@ def format_text(title: str, facts: Mapping[str, str]) -> str:
     width = max(map(len, facts))
     lines = (title, *(f"  {name:<{width}}  {fact}" for name, fact in facts.items()))
     return "\n".join(shorten(escape_controls(line), WIDTH) for line in lines)
-
-
-def format_html(title: str, facts: Mapping[str, str]) -> str:
-    """Return a title and facts as an HTML table, in which all text is escaped."""
-    title, *cells = (escape(escape_controls(text)) for text in (title, *sum(facts.items(), ())))
-    rows = zip(cells[::2], cells[1::2], strict=True)
-    body = "".join(f"<tr><th>{name}</th><td>{fact}</td></tr>" for name, fact in rows)
-    return f"<table><caption>{title}</caption>{body}</table>"
 
 
 def describe_axis(keys: Sequence[str], values: Sequence[Any]) -> str:

@@ -5,10 +5,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomli_w
 
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
 from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
@@ -175,10 +173,9 @@ def iter_filters(
             f"{study.name}: [alignment] method: {text}, not {', '.join(study.methods)}"
         )
     varying = [key for key in keys if len({point[key] for point in points}) > 1]
-    defaults = {"heading_bound_deg": 150.0, "settle_band_arcmin": 10.0, "schedule": "law"}
+    absent = dict.fromkeys((*LAW_KEYS, *DERIVED)) | {"schedule": "law"}
     for point in points:
-        whole = dict.fromkeys((*LAW_KEYS, *DERIVED)) | defaults | point | bounds
-        yield {key: point[key] for key in varying}, whole
+        yield {key: point[key] for key in varying}, absent | point | bounds
 
 
 def describe_plans(study: Study) -> list[str]:
@@ -197,17 +194,6 @@ def describe_plans(study: Study) -> list[str]:
         without = _format_time(plan.without_s)
         lines.append(f"  {name}: {plan.facts['resets']}; {plan.median} (without: {without})")
     return lines
-
-
-def with_law(study: Study) -> str:
-    """Return a study with its resets by the law, as TOML without defaults."""
-    given = {*SCHEDULE_KEYS, "reset_trigger"}
-    tables = {name: dict(table) for name, table in study.to_dict().items() if name != "cases"}
-    for name in ("resets", "axes"):
-        table = tables.get(name, {})
-        tables[name] = {key: value for key, value in table.items() if key not in given}
-    tables["resets"] |= {"schedule": "law"}
-    return tomli_w.dumps({name: table for name, table in tables.items() if table})
 
 
 def _has_drift(study: Study, key: str) -> bool:

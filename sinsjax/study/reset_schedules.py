@@ -11,8 +11,6 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     SCHEDULE_KEYS,
-    ProcessNoise,
-    q_unit_factors,
     scheduled_reset_times,
     surge_density,
     update_variance,
@@ -27,7 +25,7 @@ LAW_METHODS = ("kalman5",)
 """Methods for which cells of `docs/reset_law.md` show that the law holds."""
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
-_NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
+_NOISE = (*ACCEL_NOISE.white, *GYRO_NOISE.white)
 NOISE_KEYS = (*_EARTH, *_NOISE)
 """Keys that `noise_heading_sigma` follows from."""
 
@@ -135,8 +133,6 @@ def predict_settling(
         points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
     """
     lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
-    if not lanes:
-        return [None] * len(points)
     bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
     times = predict_settling_times([*lanes.values()], run_s, bands).tolist()
     settled = {n: time_s for n, time_s in zip(lanes, times, strict=True) if math.isfinite(time_s)}
@@ -159,21 +155,6 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
     return Lane(problem, times, heading, complex(east, north))
 
 
-def check_law(rate_hz: float, run_s: float, point: Mapping[str, Any]) -> None:
-    """Refuse a band that the noise of the sensors exceeds at the end of a run.
-
-    Raises:
-        InputError: the line begins ``[section] key`` and states the noise.
-    """
-    if point["schedule"] != "law" or point["method"] not in LAW_METHODS:
-        return
-    _require_values(point)
-    sigma_arcmin = noise_heading_sigma(rate_hz, run_s, point) / ARCMIN
-    if 2 * sigma_arcmin >= point["settle_band_arcmin"]:
-        text = f"2 sigma of the sensors' noise are {2 * sigma_arcmin:.2g}' after {run_s:g} s"
-        raise InputError(f"[resets] settle_band_arcmin: {text} (give a wider band)")
-
-
 def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
     """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
 
@@ -183,8 +164,8 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
         point: values of `NOISE_KEYS`.
     """
     place = _read_place(point)
-    accel = _white_noise(rate_hz, point, ACCEL_NOISE, place.ug)
-    gyro = _white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H)
+    accel = (ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2
+    gyro = (GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2
     return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
@@ -194,11 +175,13 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
     Raises:
         InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
     """
-    _require_values(point)
+    for key, section in _ONE_VALUE.items():
+        if point[key] is None:
+            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
     place = _read_place(point)
     r = update_variance(rate_hz, *(point[key] for key in keys_of(update_variance)))
     return ResetProblem(
-        velocity_noise=_q_density(rate_hz, point, ACCEL_NOISE, place.ug),
+        velocity_noise=ACCEL_NOISE.q(rate_hz, point) * place.ug**2,
         measurement_noise=r / rate_hz,
         velocity=_reset_velocity(point),
         level=(point["reset_level_deg"] or point["p0_level_deg"]) * DEG,
@@ -207,17 +190,11 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=_white_noise(rate_hz, point, ACCEL_NOISE, place.ug),
-        gyro_noise=_white_noise(rate_hz, point, GYRO_NOISE, DEG_PER_H),
-        tilt_noise=_q_density(rate_hz, point, GYRO_NOISE, DEG_PER_H),
+        accel_noise=(ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2,
+        gyro_noise=(GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2,
+        tilt_noise=GYRO_NOISE.q(rate_hz, point) * DEG_PER_H**2,
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )
-
-
-def _require_values(point: Mapping[str, Any]) -> None:
-    for key, section in _ONE_VALUE.items():
-        if point[key] is None:
-            raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")
 
 
 def _reset_velocity(point: Mapping[str, Any]) -> float:
@@ -239,28 +216,9 @@ class Place(NamedTuple):
 def _read_place(point: Mapping[str, Any]) -> Place:
     latitude = point["latitude_deg"] * DEG
     if point["earth"] == "constants":
-        gravity = point["gravity_m_per_s2"] or 9.8
-        rate, ug = (point["earth_rate_deg_per_h"] or 15.041067) * DEG_PER_H, micro_g(gravity)
+        gravity = point["gravity_m_per_s2"]
+        rate, ug = point["earth_rate_deg_per_h"] * DEG_PER_H, micro_g(gravity)
     else:  # normal gravity to 1e-5, far within the law's
         gravity = 9.780325 * (1 + 0.0053 * math.sin(latitude) ** 2)
         rate, ug = 7.292115e-5, micro_g()
     return Place(gravity, rate * math.cos(latitude), ug)
-
-
-def _q_density(rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float) -> float:
-    """Return the density of a noise that Q states, by default the sensors' own; SI."""
-    scale = point["q_scale"] or 1.0
-    for form, factor in noise.forms.items():
-        if point[form] is not None:
-            per_step = (point[form] * factor * unit) ** 2
-            per_step *= q_unit_factors(1 / rate_hz)[point["q_reading"]]
-            return float(per_step * rate_hz * scale)
-    return float(_white_noise(rate_hz, point, noise, unit) * scale)
-
-
-def _white_noise(
-    rate_hz: float, point: Mapping[str, Any], noise: ProcessNoise, unit: float
-) -> float:
-    """Return the density of the sensors' white noise, 0 for none; SI."""
-    values = (point[key] for key in keys_of(noise.density))
-    return float((noise.density(rate_hz, *values) or 0.0) * unit) ** 2

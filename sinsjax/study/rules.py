@@ -9,7 +9,7 @@ outside is most likely a mistake or in another unit. ``[study] unchecked = true`
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,36 +18,39 @@ import numpy as np
 from sinsjax import columns
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import shorten
-from sinsjax.methods.filters.keys import RESET_KEYS, SCHEDULE_KEYS, scheduled_reset_times
+from sinsjax.methods.filters.keys import (
+    RESET_KEYS,
+    SCHEDULE_KEYS,
+    TRIGGER_KEYS,
+    has_trigger,
+    scheduled_reset_times,
+)
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
 from sinsjax.study.attitude_file import refuse_other_angles
-from sinsjax.study.filter_noise import check_filter_noise
+from sinsjax.study.filter_noise import NOISE_RULES
 from sinsjax.study.keys import (
     COARSE_KEYS,
     KEYS,
     PASS_KEYS,
     SECTION_OF,
     SECTIONS,
+    Key,
     has_effect,
     key_summary,
     leaf_info,
 )
-from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, check_law
-from sinsjax.study.schema import EARTH_CONSTANTS, NUMBERS_DRAWN, Distribution
+from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
-from sinsjax.study.turns import check_turn_keys, check_turns
+from sinsjax.study.turns import check_turns
+from sinsjax.study.unused_keys import describe_idle
 from sinsjax.study.variants import Variants
-from sinsjax.value_types import ROUNDING, KeyCondition, KeyInfo
+from sinsjax.value_types import ROUNDING, KeyInfo
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
-_DRAWS_PER_BLOCK = 2**19  # draws that are checked together, which bounds the memory
-_MAX_CHECKED_DRAWS = 2**22  # about one second
+_CHECKED_DRAWS = 2**19  # which bounds the memory
 _MAX_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
-_MAX_DEPTH = 0.99  # of the radius, since the polar radius of an ellipsoid is smaller
-
-ACCEPT_HINT = "[study] unchecked = true accepts it"
 
 
 def check_rules(study: Study) -> None:
@@ -56,22 +59,23 @@ def check_rules(study: Study) -> None:
     Args:
         study: sections, axes and cases, each value checked.
     """
-    for stage in STAGES if study.study.rate_hz else UNTIMED_STAGES:
-        errors_of(stage, study)
+    for always, timed in ((_PRESENCE, _LENGTHS), (_VALUES, _TIMES)):
+        has_rate = bool(study.study.rate_hz)  # a record gives it later
+        _check_all([partial(rule, study) for rule in (*always, *(timed if has_rate else ()))])
 
 
-def errors_of(rules: Iterable[Callable[..., None]], *arguments: Any) -> None:
+def _check_all(rules: Iterable[Callable[[], None]]) -> None:
     """Apply some rules, and raise their errors as one."""
     errors = ErrorCollector()
     for rule in rules:
         with errors.collect():
-            rule(*arguments)
+            rule()
     errors.raise_all()
 
 
 def _refuse_all(study: Study, texts: Mapping[str, str]) -> None:
     """Refuse some keys, each with its text."""
-    errors_of([partial(study.refuse, key, text) for key, text in texts.items()])
+    _check_all([partial(study.refuse, key, text) for key, text in texts.items()])
 
 
 def _check_required_keys(study: Study) -> None:
@@ -94,11 +98,38 @@ def _check_required_keys(study: Study) -> None:
     _refuse_all(study, found)
 
 
-def _check_earth_constants(study: Study) -> None:
-    """Refuse constants of the sphere on an ellipsoid."""
-    if all(point["earth"] != "constants" for point in study.combinations("earth")):
-        text = "requires earth = 'constants' (drop it with 'wgs84')"
-        _refuse_all(study, {key: text for key in EARTH_CONSTANTS if study.gives(key)})
+def _check_trigger(study: Study) -> None:
+    """Refuse a trigger without a threshold, and keys of triggers without a trigger."""
+    keys = ("reset_trigger", "trigger_threshold")
+    points = list(study.combinations(*keys)) if study.has("resets") else []
+    triggered = [point for point in points if has_trigger(point["reset_trigger"])]
+    for point in triggered:
+        if point["trigger_threshold"] is None:
+            text = f"required with reset_trigger = '{point['reset_trigger']}'"
+            study.refuse("trigger_threshold", text)
+    for key in TRIGGER_KEYS if points and not triggered else ():
+        if study.gives(key):
+            study.refuse(key, "requires a reset_trigger (give one, or drop this)")
+
+
+def _check_filter_noise(study: Study) -> None:
+    """Refuse a study that does not determine Q and R of its filters."""
+    if study.has("filter"):
+        _check_all([partial(rule, study) for rule in NOISE_RULES])
+
+
+def _check_idle_keys(study: Study) -> None:
+    """Refuse keys that have no effect with the values of keys that exclude them."""
+    found = dict[str, str]()
+    sections = [section for name, section in SECTIONS.items() if study.has(name)]
+    for section, condition in ((s, c) for s in sections for c in s.conditions if c.refused):
+        points = list(study.combinations(*condition.given))
+        if not condition.acts_at(points):
+            for key in condition.keys:
+                default = section.model_fields[key].default
+                if any(point[key] != default for point in study.combinations(key)):
+                    found[key] = f"has no effect {describe_idle(condition, points)} (drop one)"
+    _refuse_all(study, found)
 
 
 def _check_study_size(study: Study) -> None:
@@ -166,11 +197,9 @@ def _check_coarse_method(study: Study) -> None:
 
 
 def _check_reset_law(study: Study) -> None:
-    """Refuse a law of resets for a band that noise exceeds, and policies that look the same."""
-    if study.has("resets") and study.names_schedules:
-        keys = [key for key in (*LAW_KEYS, *DERIVED) if study.is_readable(key)]
-        for point in study.given_combinations(*keys):
-            check_law(study.rate_hz, study.run_s, dict.fromkeys(LAW_KEYS) | point)
+    """Refuse resets that the law cannot schedule, and policies that look the same."""
+    if study.names_schedules:
+        list(study.combinations(*SCHEDULE_KEYS))
         if any(len(set(points)) < len(points) for points in study.axes_shown.values()):
             text = "a name is there twice, and its times differ from run to run"
             study.refuse("schedule", f"{text} (list it in [[cases]], with a case each)")
@@ -240,30 +269,21 @@ def _check_statistics_window(study: Study) -> None:
 
 def _check_report_times(study: Study) -> None:
     """Refuse report times that are not record times of every run."""
-    key, rate, record_every = "report_times_s", study.rate_hz, study.record_every
-    counts_before = {0}
+    rate, before = study.rate_hz, {0}  # samples
     if study.counts_before:
-        coarse = study.combinations(*COARSE_KEYS)
-        counts_before = {study.samples_before(rate, **point) for point in coarse}
+        before = {study.samples_before(rate, **p) for p in study.combinations(*COARSE_KEYS)}
     for time in study.report_times_s:
-        _check_multiple(study, key, time, "record intervals")
-        if time > (min(counts_before) / rate + study.run_s) * (1 + ROUNDING):
-            study.refuse(key, f"{time:.12g} s is not within the run ({study.end})")
-        for samples_before in sorted(counts_before, reverse=True):
-            runs = f"runs after coarse alignment of {samples_before / rate:.12g} s"
-            if round(time * rate) <= samples_before:
-                study.refuse(key, f"{time:.12g} s is before the first record time of {runs}")
-            if samples_before % record_every:
-                study.refuse(key, f"{time:.12g} s is between two record times of {runs}")
+        _check_multiple(study, "report_times_s", time, "record intervals")
+        if time > (min(before) / rate + study.run_s) * (1 + ROUNDING):
+            study.refuse("report_times_s", f"{time:.12g} s is not within the run ({study.end})")
+        for count in before:
+            if round(time * rate) <= count or count % study.record_every:
+                text = f"{time:.12g} s is no record time of runs after coarse alignment of"
+                study.refuse("report_times_s", f"{text} {count / rate:.12g} s")
 
 
-def _check_success_criteria(study: Study) -> None:
-    """Refuse a success that no run can reach, and bands whose columns would share a name."""
-    names = [columns.settle_column(band).name for band in success.settling_bands(study)]
-    if len(set(names)) < len(names):
-        key = "success_band_arcmin" if study.gives("success_band_arcmin") else "settle_bands_arcmin"
-        text = "two bands agree to the 6 digits of their column names (drop one)"
-        study.refuse(key, text)
+def _check_dwell(study: Study) -> None:
+    """Refuse a success that no run can reach."""
     dwell = study.study.dwell_s
     if dwell is not None and dwell >= study.run_s:
         study.refuse("dwell_s", f"{dwell:.12g} s is not shorter than the run ({study.end})")
@@ -284,57 +304,35 @@ def _check_stop_when(study: Study) -> None:
 
 def _check_rules_of_methods(study: Study) -> None:
     """Apply the rules of the study's methods."""
-    rules = (rule for name in study.methods for rule in METHODS[name].all_rules)
-    errors_of(dict.fromkeys(rules), Variants.all_of(study))
+    variants = Variants.all_of(study)
+    rules = dict.fromkeys(rule for name in study.methods for rule in METHODS[name].all_rules)
+    _check_all([partial(rule, variants) for rule in rules])
 
 
-def _check_unreached_values(study: Study) -> None:
-    """Refuse values that no run reaches: times after its end, and keys that have no effect.
-
-    A time may be after the end of some runs of a sweep if other runs with it are longer.
-    """
-    sections = {name: model for name, model in SECTIONS.items() if study.has(name)}
-    times = [key for (name, key), entry in KEYS.items() if entry.info.time and name in sections]
-    conditions = (c for model in sections.values() for c in model.conditions if c.refused)
-    errors_of(
-        [
-            *(partial(_check_time_within_runs, study, key) for key in times),
-            *(partial(_check_has_effect, study, condition) for condition in conditions),
-        ]
-    )
+def _check_times_within_runs(study: Study) -> None:
+    """Refuse times after the end of all runs that use them; others of a sweep may be shorter."""
+    units = ("s", "pass") if study.passes else ("s",)
+    sections = {name for name in SECTIONS if study.has(name)}
+    times = [key for key in KEYS.values() if key.info.time in units and key.section in sections]
+    _check_all([partial(_check_time_within_runs, study, key) for key in times])
 
 
-def _check_time_within_runs(study: Study, key: str) -> None:
-    """Refuse a time that is after the end of all runs that use it."""
-    entry = KEYS[SECTION_OF[key], key]
+def _check_time_within_runs(study: Study, key: Key) -> None:
     latest: dict[float, float] = {}  # the end of the longest run with each value
     interval_s = study.study.record_interval_s
     passes = PASS_KEYS if study.passes else ()
-    for point in study.combinations(key, *entry.depends_on, *passes):
-        value = point[key]
-        span = study.span(**{k: point[k] for k in passes})
+    for point in study.combinations(key.name, *key.depends_on, *passes):
+        value, span = point[key.name], study.span(**{name: point[name] for name in passes})
         last = value[-1] if isinstance(value, tuple) and value else value
-        filled_in = entry.info.default is not None and last == entry.info.default
-        if last in (None, ()) or filled_in or not has_effect(key, point):
+        is_filled_in = key.info.default is not None and last == key.info.default
+        if last in (None, ()) or is_filled_in or not has_effect(key.name, point):
             continue
-        time_s = last * span.pass_records * interval_s if entry.info.time == "pass" else last
+        time_s = last * span.pass_records * interval_s if key.info.time == "pass" else last
         latest[time_s] = max(latest.get(time_s, 0.0), span.records * interval_s)
     for time_s, end in latest.items():
         if time_s > end * (1 + ROUNDING):
             text = f"{time_s:.12g} s is after the end of all runs that use it, at {end:.12g} s"
-            study.refuse(key, f"{text} (give an earlier time, or longer runs)")
-
-
-def _check_has_effect(study: Study, condition: KeyCondition) -> None:
-    """Refuse values of keys, other than their defaults, that have no effect."""
-    for key in condition.keys:
-        default: Any = SECTIONS[SECTION_OF[key]].model_fields[key].default
-        for point in study.combinations(key, *condition.given):
-            values = [point[given] for given in condition.given]
-            if point[key] != default and not condition.acts(*values):
-                given = next(k for k in condition.given if study.gives(k))
-                text = f"has no effect with {given} in {study.given_in(given)} (give one of them)"
-                study.refuse(key, text)
+            study.refuse(key.name, f"{text} (give an earlier time, or longer runs)")
 
 
 def _check_plausible_values(study: Study) -> None:
@@ -343,8 +341,8 @@ def _check_plausible_values(study: Study) -> None:
         return
     errors = ErrorCollector()
     for (name, key), entry in KEYS.items():
-        value = getattr(getattr(study, name, None), key, None) if entry.info.usual_range else None
-        if value is not None and (text := _describe_unusual(entry.info, value)):
+        value = getattr(getattr(study, name, None), key, None)
+        if text := _describe_unusual(entry.info, value):
             errors.add(f"[{name}] {key}{text}")
     for key, values in study.values_varied.items():
         for value in dict.fromkeys(values) if key != "case" else ():
@@ -355,94 +353,51 @@ def _check_plausible_values(study: Study) -> None:
 
 def _describe_unusual(info: KeyInfo, value: Any) -> str | None:
     """Return the index of an unusual number in a value, if a list, and the question about it."""
-    low, high = info.usual_range or (-math.inf, math.inf)
-    for index, number in _iter_numbers(value):
+    if info.usual_range is None or value is None:
+        return None
+    low, high = info.usual_range
+    for place, number in np.ndenumerate(np.asarray(value, float)):
         if not low <= number <= high:
+            index = "".join(f"[{i}]" for i in place)
             text = f"{number:.12g} is outside the usual range of {low:g} to {high:g}"
-            return f"{index}: {text} ({ACCEPT_HINT})"
+            return f"{index}: {text} ([study] unchecked = true accepts it)"
     return None
 
 
-def _iter_numbers(value: Any, index: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a value, each after its index in lists."""
-    if isinstance(value, tuple):
-        for i, entry in enumerate(value):
-            yield from _iter_numbers(entry, f"{index}[{i}]")
-    elif isinstance(value, int | float):
-        yield index, float(value)
-
-
-def _check_feedback_interval(study: Study) -> None:
-    """Refuse a feedback interval that is longer than any run."""
-    if study.study.unchecked or not study.study.rate_hz:
-        return
-    longest = max(span.records for span in study.distinct_spans) * study.record_every
-    run_s = longest / study.rate_hz
-    for point in study.combinations("feedback_interval_s"):
-        interval = point["feedback_interval_s"]
-        if interval is not None and interval > run_s * (1 + ROUNDING):
-            text = f"{interval:.12g} s is longer than a run of {run_s:.12g} s: there is no feedback"
-            study.refuse("feedback_interval_s", f"{text} ({ACCEPT_HINT})")
-
-
-def _check_earth_centre(study: Study) -> None:
-    """Refuse a place at the centre of the Earth, without north, east and up."""
-    for point in study.combinations("height_m", "radius_m"):
-        radius = point["radius_m"] or EARTH_CONSTANTS["radius_m"]
-        if point["height_m"] is not None and point["height_m"] <= -_MAX_DEPTH * radius:
-            text = f"{point['height_m']:.12g} m reaches the centre of the Earth"
-            study.refuse("height_m", f"{text} (give the height in m)")
-
-
 def _check_drawn_values(study: Study) -> None:
-    """Refuse drawn values that their key does not accept, of the first `_MAX_CHECKED_DRAWS`.
-
-    Draws are checked one by one if their law does not exclude such values.
-    """
+    """Refuse draws that their key does not accept, and lists longer than the draws."""
+    laws = study.drawn.laws if study.drawn else {}
+    points = math.prod(len(law.grid) for law in laws.values() if law.grid)
+    for key, law in laws.items():
+        name, needed = ("grid", points) if law.grid else ("values", len(law.values or ()))
+        if needed > study.n_draws:
+            draws = "start times" if study.is_recorded else "draws"
+            text = f"{needed} points are more than {study.n_draws} {draws}"
+            raise InputError(f"[drawn] {key}.{name}: {text} (drop some, or draw more)")
 
     def error(key: str, value: float) -> str | None:
         unusual = None if study.study.unchecked else _describe_unusual(leaf_info(key), value)
         return value_error(value, key) or (unusual and unusual.removeprefix(": "))
 
-    laws = study.drawn.laws if study.drawn else {}
-    keys = [key for key, law in laws.items() if any(error(key, v) for v in _law_limits(law))]
-    checked = min(study.n_draws, _MAX_CHECKED_DRAWS) if keys else 0
-    for first in range(0, checked, _DRAWS_PER_BLOCK):
-        drawn = sampling.drawn_values(study, min(_DRAWS_PER_BLOCK, checked - first), first=first)
-        found = dict[str, str]()
-        for key in keys:
-            for position in map(int, (drawn[key].argmin(), drawn[key].argmax())):
-                value = float(drawn[key].flat[position])
-                if text := error(key, value):
-                    draw = first + position // NUMBERS_DRAWN[key]
-                    found.setdefault(key, f"draw {draw} gives {value!r}: {text}")
-        _refuse_all(study, found)
-
-
-def _check_list_lengths(study: Study) -> None:
-    """Refuse lists of drawn values and grids that are longer than the number of draws."""
-    draws = f"{study.n_draws} {'start times' if study.is_recorded else 'draws'}"
-    laws = study.drawn.laws if study.drawn else {}
-    for key, law in laws.items():
-        if law.values and len(law.values) > study.n_draws:
-            text = f"has {len(law.values)} entries for {draws} (drop those that are never drawn)"
-            raise InputError(f"[drawn] {key}.values: {text}")
-    grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
-    if math.prod(grids.values()) > study.n_draws and grids:
-        text = f"{math.prod(grids.values())} points of the grid of {', '.join(grids)}"
-        text = f"{text} are more than {draws} (drop some, or draw more)"
-        raise InputError(f"[drawn] {next(iter(grids))}.grid: {text}")
+    doubtful = [key for key, law in laws.items() if any(error(key, v) for v in _law_limits(law))]
+    count = min(study.n_draws, _CHECKED_DRAWS)
+    drawn, found = sampling.drawn_values(study, count) if doubtful else {}, dict[str, str]()
+    for key in doubtful:
+        for place in map(int, (drawn[key].argmin(), drawn[key].argmax())):
+            value = float(drawn[key].flat[place])
+            if problem := error(key, value):
+                draw = place // NUMBERS_DRAWN[key]
+                found.setdefault(key, f"draw {draw} gives {value!r}: {problem}")
+    _refuse_all(study, found)
 
 
 def _law_limits(law: Distribution) -> tuple[float, ...]:
     """Return the limits of the values of a law."""
-    if law.uniform:
-        return law.uniform
     if law.normal:
         mean, deviation = law.normal
         return mean - _MAX_SIGMAS * deviation, mean + _MAX_SIGMAS * deviation
-    numbers = [n for entry in law.values or law.grid or () for n in np.ravel(entry).tolist()]
-    return min(numbers), max(numbers)
+    numbers = [n for entry in law.uniform or law.values or law.grid or () for n in np.ravel(entry)]
+    return float(min(numbers)), float(max(numbers))
 
 
 def _check_tune_section(study: Study) -> None:
@@ -476,12 +431,13 @@ def _check_tune_section(study: Study) -> None:
 
 _PRESENCE = (
     _check_required_keys,
-    _check_earth_constants,
-    check_filter_noise,
-    check_turn_keys,
+    _check_idle_keys,
+    _check_filter_noise,
+    _check_trigger,
     refuse_other_angles,
 )
 _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
+_VALUES = (_check_plausible_values, _check_drawn_values)
 _TIMES = (
     _check_coarse_method,
     _check_coarse_times,
@@ -489,25 +445,9 @@ _TIMES = (
     _check_reset_law,
     _check_statistics_window,
     _check_report_times,
-    _check_success_criteria,
+    _check_dwell,
     _check_stop_when,
     _check_rules_of_methods,
+    _check_times_within_runs,
+    _check_tune_section,
 )
-_VALUES = (
-    _check_earth_centre,
-    _check_plausible_values,
-    _check_feedback_interval,
-    _check_list_lengths,
-    _check_drawn_values,
-)
-
-STAGES = (
-    _PRESENCE,
-    _LENGTHS,
-    _TIMES,
-    (_check_unreached_values, _check_tune_section, *_VALUES),
-)
-"""All rules; those of a stage rely on the earlier ones."""
-
-UNTIMED_STAGES = (_PRESENCE, _VALUES)
-"""The rules that hold before the rate of a record is known."""

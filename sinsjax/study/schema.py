@@ -17,8 +17,7 @@ from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
     RecordLayout,
-    find_fault,
-    parse_axes_order,
+    find_faults,
 )
 from sinsjax.value_types import (
     Effect,
@@ -26,7 +25,6 @@ from sinsjax.value_types import (
     Section,
     field,
     key_info,
-    otherwise,
     require_unique,
     rule_error,
 )
@@ -128,6 +126,7 @@ class EarthSection(Section):
             ("gravity_m_per_s2", "radius_m", "earth_rate_deg_per_h"),
             ("earth",),
             lambda earth: earth == "constants",
+            refused=True,
         ),
     )
 
@@ -136,12 +135,12 @@ class EarthSection(Section):
         " ellipsoid with normal gravity",
         "constants",
     )
-    gravity_m_per_s2: vt.Positive | None = field("gravity", otherwise=9.8, usual_range=(9, 10.5))
+    gravity_m_per_s2: vt.Positive | None = field("gravity", default=9.8, usual_range=(9, 10.5))
     radius_m: vt.Positive | None = field(
-        "radius of the sphere", otherwise=6378137.0, usual_range=(6e6, 7e6)
+        "radius of the sphere", default=6378137.0, usual_range=(6e6, 7e6)
     )
     earth_rate_deg_per_h: vt.Positive | None = field(
-        "Earth rotation rate", otherwise=15.041067, usual_range=(10, 20)
+        "Earth rotation rate", default=15.041067, usual_range=(10, 20)
     )
     latitude_deg: vt.Elevation | None = field(
         "latitude, positive north. Required in a simulation, and if a record's header lacks it"
@@ -149,12 +148,13 @@ class EarthSection(Section):
     height_m: vt.Finite | None = field(
         "height above the ellipsoid or sphere",
         otherwise="that in the record's header, or 0",
+        in_simulation=0.0,
         usual_range=(-12e3, 1e6),
     )
 
 
 EARTH_CONSTANTS: dict[str, float] = {
-    key: otherwise(EarthSection, key) for key in EarthSection.conditions[0].keys
+    key: key_info(EarthSection.model_fields[key]).default for key in EarthSection.conditions[0].keys
 }
 """Keys of [earth] that only ``earth = "constants"`` has, with their defaults."""
 
@@ -190,7 +190,7 @@ class MotionSection(Section):
         KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
         KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
         KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
-        KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool),
+        KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool, refused=True),
         KeyCondition(
             ("lever_arm_m",),
             ("turn_times_s", "attitude_file", "vibration_deg_per_h_rms", *_AMPLITUDES),
@@ -230,7 +230,9 @@ class MotionSection(Section):
         usual_range=(-300, 300),
     )
     turn_times_s: vt.EventTimes | None = field(
-        "start times of turns from the first sample, rounded to whole samples", otherwise="no turns"
+        "start times of turns from the first sample, rounded to whole samples",
+        otherwise="no turns",
+        time="s",
     )
     turn_angles_deg: vt.Numbers | None = field(
         "turn angles, positive counter-clockwise from above: one for all or per turn. An"
@@ -357,26 +359,18 @@ class SensorsSection(Section):
     accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
-def _check_axes_order(order: str) -> str:
-    """Refuse an order of axes that is not a rotation."""
-    try:
-        parse_axes_order(order)
-    except ValueError as error:
-        raise rule_error(shorten(str(error))) from None
-    return order
-
-
+_TEXT_KEYS = ("columns", "skip_rows")
 _COLUMN_KEYS = (
-    *("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit", "time_column"),
-    *("max_gap_s", "columns", "skip_rows", "time_fraction_column", "time_fraction_unit"),
-    *("gyro_scale", "accel_scale", "time_scale"),
+    *("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit", "gyro_scale"),
+    *("accel_scale", "time_column", "time_unit", "time_scale", "time_fraction_column"),
+    *("time_fraction_unit", "max_gap_s", *_TEXT_KEYS),
 )
-"""Keys of [record] that describe columns."""
-
-_TIME_KEYS = dict.fromkeys(("time_unit", "time_scale", "time_fraction_column"), "time_column") | {
-    "time_fraction_unit": "time_fraction_column"
+_FIXED_KEYS = {
+    "psins": _COLUMN_KEYS,
+    "arrays": (*_COLUMN_KEYS, "axes_order", "mounting_deg"),
+    "parquet": _TEXT_KEYS,
 }
-"""Keys of [record] that need another one."""
+"""Keys of [record] that do not apply to some formats."""
 
 
 class RecordSection(Section):
@@ -435,7 +429,7 @@ class RecordSection(Section):
         otherwise="1",
         usual_range=(-1e6, 1e6),
     )
-    axes_order: Annotated[str, AfterValidator(_check_axes_order)] = field(
+    axes_order: str = field(
         "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
         " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
         "xyz",
@@ -470,30 +464,27 @@ class RecordSection(Section):
 
     @model_validator(mode="after")
     def _check_columns(self) -> "RecordSection":
-        self._check_times()
-        needed = ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit")
-        if self.format in ("psins", "arrays"):
-            axes = ("axes_order", "mounting_deg") if self.format == "arrays" else ()
-            why = "fixes it" if self.format == "psins" else "has it already"
-            for key in (*_COLUMN_KEYS, *axes):
-                if getattr(self, key) != type(self).model_fields[key].default:
-                    text = f"does not apply to format '{self.format}', which {why} (drop it)"
-                    raise rule_error(text, key=key)
-            return self
-        for key in needed:
-            if getattr(self, key) is None:
+        begin, end, names_columns = self.from_s or 0.0, self.to_s, self.format in ("csv", "parquet")
+        if end is not None and end <= begin:
+            raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
+        if min(self.start_s) < begin:
+            text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
+            raise rule_error(text, key="start_s")
+        for key in _FIXED_KEYS.get(self.format, ()):
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise rule_error(f"does not apply to format '{self.format}' (drop it)", key=key)
+        for key in ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit"):
+            if names_columns and getattr(self, key) is None:
                 raise rule_error(f"required with format '{self.format}'", key=key)
+        # `rules` checks whether a rate is needed.
+        if self.format != "arrays":
+            for key, text in find_faults(self.layout(rate_hz=1.0)):
+                raise rule_error(shorten(text), key=key)
         for key, known in (("gyro_unit", GYRO_UNITS), ("accel_unit", ACCEL_UNITS)):
             if self.quantity is not None and getattr(self, key) not in known[self.quantity]:
                 units = ", ".join(known[self.quantity])
                 text = f"{getattr(self, key)!r} is not one of {units} for {self.quantity}"
                 raise rule_error(f"{text} (drop quantity if the sensors differ)", key=key)
-        for key in ("columns", "skip_rows"):
-            if self.format == "parquet" and getattr(self, key) is not None:
-                raise rule_error("applies to text only (drop it with format 'parquet')", key=key)
-        # `rules` checks whether a rate is needed.
-        if found := find_fault(self.layout(rate_hz=1.0)):
-            raise rule_error(found.text, key=found.key)
         return self
 
     def layout(self, rate_hz: float | None) -> RecordLayout:
@@ -504,17 +495,6 @@ class RecordSection(Section):
                 given[key] = (given[key],) * 3
         given["rate_hz"] = rate_hz
         return RecordLayout(**{key: value for key, value in given.items() if value is not None})
-
-    def _check_times(self) -> None:
-        for key, needed in _TIME_KEYS.items():
-            if getattr(self, key) is not None and getattr(self, needed) is None:
-                raise rule_error(f"requires a {needed} (give it, or drop this)", key=key)
-        begin, end = self.from_s or 0.0, self.to_s
-        if end is not None and end <= begin:
-            raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")
-        if min(self.start_s) < begin:
-            text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
-            raise rule_error(text, key="start_s")
 
 
 INITIAL_NUMBERS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg", "ve0_m_per_s", "vn0_m_per_s")

@@ -17,7 +17,6 @@ from sinsjax.study.keys import SECTION_OF, SECTIONS, TUNABLE, TomlTable, alterna
 from sinsjax.study.schema import Range
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import COUNT, TIMES, Ranges
-from sinsjax.value_types import KeyInfo
 
 MAX_GRID_VARIABLES = 2
 """Largest number of free variables of a full grid."""
@@ -76,6 +75,11 @@ class SearchSpace:
     rate_hz: float
     record_interval_s: float
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the variables."""
+        return [variable.name for variable in self.variables]
+
     @classmethod
     def from_study(cls, study: Study) -> "SearchSpace":
         """Return the search space of a study with [tune]."""
@@ -122,10 +126,7 @@ class SearchSpace:
                 result[key] = tuple(next(numbers) if k.is_free else k.fixed for k in key_range)
         if COUNT in result and TIMES in result:
             result[TIMES] = result[TIMES][: result.pop(COUNT)]
-        return {
-            key: self._round_times(value, key_info) if (key_info := leaf_info(key)).whole else value
-            for key, value in result.items()
-        }
+        return {key: self._round_times(key, value) for key, value in result.items()}
 
     def locate(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
         """Return the values in a case of the variables that a combination uses.
@@ -146,14 +147,15 @@ class SearchSpace:
             values += given
         return values
 
-    def _round_times(self, value: Any, key_info: KeyInfo) -> Any:
+    def _round_times(self, key: str, value: Any) -> Any:
         """Round times to whole samples or record intervals; those of a list increase."""
-        if key_info.whole == "record":
+        whole = leaf_info(key).whole
+        if whole == "record":
             return max(1, round(value / self.record_interval_s)) * self.record_interval_s
-        if not isinstance(value, tuple):
-            return max(1, round(value * self.rate_hz)) / self.rate_hz
+        if whole is None or not isinstance(value, tuple):
+            return max(1, round(value * self.rate_hz)) / self.rate_hz if whole else value
         samples = sorted(max(1, round(time * self.rate_hz)) for time in value)
-        if key_info.merged:
+        if key == TIMES:
             samples = list(dict.fromkeys(samples))
         for number in range(1, len(samples)):  # at least one sample between two times
             samples[number] = max(samples[number], samples[number - 1] + 1)

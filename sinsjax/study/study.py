@@ -161,10 +161,6 @@ class Study(_SectionsOfMethods):
 
     __str__ = __repr__
 
-    def _repr_html_(self) -> str:
-        """Return the lines of `__repr__` as a table, for notebooks."""
-        return display.format_html(f"Study {self.name}", self.facts)
-
     def __dir__(self) -> list[str]:
         """Return the names that a user needs, for the completion of interactive sessions."""
         return sorted((*_USER_NAMES, *(name for name in SECTIONS if self.has(name))))

@@ -66,8 +66,8 @@ def success_criteria(study: Study) -> SuccessCriteria:
 
 def settling_bands(study: Study) -> tuple[float, ...]:
     """Return the bands of a study's settling times, including the success band, arcmin."""
-    success = success_criteria(study).band_arcmin
-    return tuple(dict.fromkeys((*study.study.settle_bands_arcmin, success)))
+    bands = (*study.study.settle_bands_arcmin, success_criteria(study).band_arcmin)
+    return tuple({f"{band:g}": band for band in bands}.values())  # one of each column name
 
 
 class SuccessMeasure(NamedTuple):

@@ -10,7 +10,7 @@ from sinsjax.study.study import Study
 from sinsjax.units import DEG
 from sinsjax.value_types import ROUNDING, otherwise
 
-MOST_TURN_PER_SAMPLE = 0.1
+_MOST_PER_SAMPLE = 0.1
 """Fastest turn, rad per sample: coning and sculling compensation leave little of such a turn."""
 
 DEFAULTS = {
@@ -28,40 +28,24 @@ class Turn(NamedTuple):
     Attributes:
         begin: sample at which the ramp up begins.
         length: samples from there to the beginning of the ramp down.
+        ramp: samples of a ramp.
         angle_deg: signed angle.
         rate_deg_per_s: signed rate after the ramp.
     """
 
     begin: int
     length: int
+    ramp: int
     angle_deg: float
     rate_deg_per_s: float
-
-
-class SampledTurns(NamedTuple):
-    """The turns of a run.
-
-    Attributes:
-        turns: by time; none begins after the end.
-        ramp: samples of a ramp.
-        changes: text for each value that whole samples have changed.
-    """
-
-    turns: tuple[Turn, ...]
-    ramp: int
-    changes: tuple[str, ...]
-
-    def turned_deg(self, end: int) -> float:
-        """Return the sum of the magnitudes of all angles turned by a sample."""
-        return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in self.turns)
 
 
 class TurnError(ValueError):
     """Turns that no base can make, or that samples do not resolve: the key to change, and why."""
 
 
-def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> SampledTurns:
-    """Return the turns of a run in whole samples.
+def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> list[Turn]:
+    """Return the turns of a run in whole samples, in order of time; none begins after the end.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
     angle, unless the run ends within the turn.
@@ -72,72 +56,43 @@ def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) ->
         values: values of `TURN_KEYS`; None for a key that is left out.
 
     Raises:
-        TurnError: turns that overlap, begin after the end or are too fast for the samples.
+        TurnError: turns that overlap or are too fast for the samples.
     """
     times_s = values["turn_times_s"] or ()
     angle, rate, ramp_s = (
         values[key] if values[key] is not None else default for key, default in DEFAULTS.items()
     )
     angles = angle if isinstance(angle, tuple) else (angle,) * len(times_s)
-    _refuse_angles_and_rate(rate_hz, len(times_s), angles, rate)
-    _refuse_times(rate_hz, end_s, times_s, ramp_s)
-    changes: list[str] = []
-
-    def samples(name: str, time_s: float, least: int = 0) -> int:
-        count = max(least, round(time_s * rate_hz))
-        if abs(count - time_s * rate_hz) > ROUNDING * max(1.0, count):
-            changes.append(f"{name} {time_s:.12g} s to {count / rate_hz:.12g} s")
-        return count
-
-    end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), samples("ramp", ramp_s, 1)
+    if len(angles) != len(times_s):
+        text = f"has {len(angles)} angles for {len(times_s)} turns (give one for all, or one each)"
+        raise TurnError("turn_angles_deg", text)
+    if rate * DEG / rate_hz > _MOST_PER_SAMPLE * (1 + ROUNDING):
+        most = math.floor(_MOST_PER_SAMPLE * rate_hz / DEG * 10) / 10
+        hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
+        text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
+        raise TurnError("turn_rate_deg_per_s", text)
+    end, ramp = math.ceil(end_s * rate_hz * (1 - ROUNDING)), max(1, round(ramp_s * rate_hz))
     turns = []
     for time_s, angle_deg in zip(times_s, angles, strict=True):
-        begin, whole = samples("begin", time_s), abs(angle_deg) / rate * rate_hz
+        begin, whole = round(time_s * rate_hz), abs(angle_deg) / rate * rate_hz
         length, exact = math.ceil(whole), math.copysign(rate, angle_deg)
         if begin + whole < end:
             length = max(1, round(whole))
             exact = angle_deg * rate_hz / length
-            if abs(whole - length) > ROUNDING * length:
-                changes.append(f"rate {rate:.12g} deg/s to {abs(exact):.12g} deg/s")
-        turns.append(Turn(begin, length, angle_deg, exact))
+        turns.append(Turn(begin, length, ramp, angle_deg, exact))
     if values["turn_repeat_s"] is not None and turns:
-        period = samples("repetition", values["turn_repeat_s"], 1)
+        period = max(1, round(values["turn_repeat_s"] * rate_hz))
         repeats = range(1 + max(0, end - 1 - turns[0].begin) // period)
-        _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)], ramp)
-        repeated = (t._replace(begin=t.begin + n * period) for n in repeats for t in turns)
-        turns = [turn for turn in repeated if turn.begin < end]
-    _refuse_overlap(rate_hz, turns, ramp)
-    return SampledTurns(tuple(turns), ramp, tuple(dict.fromkeys(changes)))
+        _refuse_overlap(rate_hz, [*turns, turns[0]._replace(begin=turns[0].begin + period)])
+        turns = [t._replace(begin=t.begin + n * period) for n in repeats for t in turns]
+    turns = [turn for turn in turns if turn.begin < end]
+    _refuse_overlap(rate_hz, turns)
+    return turns
 
 
-def _refuse_angles_and_rate(
-    rate_hz: float, count: int, angles: tuple[float, ...], rate: float
-) -> None:
-    if len(angles) != count:
-        text = f"has {len(angles)} angles for {count} turns (give one for all, or one each)"
-        raise TurnError("turn_angles_deg", text)
-    if 0 in angles:
-        raise TurnError("turn_angles_deg", "0 is no turn (drop it, and its time)")
-    if rate * DEG / rate_hz > MOST_TURN_PER_SAMPLE * (1 + ROUNDING):
-        most = math.floor(MOST_TURN_PER_SAMPLE * rate_hz / DEG * 10) / 10
-        hint = f"at most {most:g} deg/s at rate_hz = {rate_hz:.12g}"
-        text = f"{rate:.12g} deg/s is faster than the samples resolve ({hint})"
-        raise TurnError("turn_rate_deg_per_s", text)
-
-
-def _refuse_times(rate_hz: float, end_s: float, times_s: tuple[float, ...], ramp_s: float) -> None:
-    if ramp_s * rate_hz < 1 - ROUNDING:
-        text = f"{ramp_s:.12g} s is shorter than a sample of {1 / rate_hz:.12g} s (give a longer)"
-        raise TurnError("turn_ramp_s", text)
-    late_s = [time_s for time_s in times_s if time_s >= end_s * (1 - ROUNDING)]
-    if late_s:
-        text = f"the turn at {late_s[0]:.12g} s begins after the end of the data, at {end_s:.12g} s"
-        raise TurnError("turn_times_s", f"{text} (turn earlier, or give longer runs)")
-
-
-def _refuse_overlap(rate_hz: float, turns: list[Turn], ramp: int) -> None:
+def _refuse_overlap(rate_hz: float, turns: list[Turn]) -> None:
     for turn, following in zip(turns, turns[1:], strict=False):
-        end = turn.begin + turn.length + ramp
+        end = turn.begin + turn.length + turn.ramp
         if end > following.begin:
             begin_s, end_s, next_s = (n / rate_hz for n in (turn.begin, end, following.begin))
             text = f"the turn at {begin_s:.12g} s ends at {end_s:.12g} s, after the next one begins"
@@ -157,54 +112,34 @@ def _turned_points(study: Study, *keys: str) -> Iterator[dict[str, Any]]:
         yield from (point for point in points if point["turn_times_s"])
 
 
-def _turns_of(study: Study, point: Mapping[str, Any]) -> SampledTurns:
-    """Return the turns of a combination of the values of `TURN_KEYS` in whole samples."""
-    return turns_in_samples(study.rate_hz, data_end_s(study), point)
-
-
-def check_turn_keys(study: Study) -> None:
-    """Refuse keys of turns in a study without turns."""
-    for key in () if study.gives("turn_times_s") else TURN_KEYS:
-        if study.gives(key):
-            study.refuse(key, "requires turn_times_s (give it, or drop this)")
-
-
 def check_turns(study: Study) -> None:
-    """Refuse turns that overlap, begin after the end of the data or are too fast for the samples.
+    """Refuse turns that overlap or are too fast for the samples.
 
     Raises:
         InputError: ``[section] key: what is wrong (hint)``.
     """
     for point in _turned_points(study):
         try:
-            _turns_of(study, point)
+            turns_in_samples(study.rate_hz, data_end_s(study), point)
         except TurnError as error:
             study.refuse(*error.args)
 
 
 def useless_methods(study: Study) -> Iterator[str]:
     """Yield one line per method of the study that cannot use its turns."""
-    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
-    seen = set[str]()
+    useless, end_s = dict[str, str](), data_end_s(study)
     for point in _turned_points(study, "method"):
         name, turning = point["method"], METHODS[point["method"]].turning
-        if name in seen or turning in (None, "any"):
-            continue
-        end = round(data_end_s(study) * study.rate_hz)
-        if turning == "many" and _turns_of(study, point).turned_deg(end) >= _MANY_TURNS_DEG:
-            continue
-        seen.add(name)
-        few = " unless it makes many" if turning == "many" else ""
-        yield (
-            f"[alignment] method: {name} does not average gyro biases over the turns of a base"
-            f"{few} (use {good})"
-        )
+        turns = turns_in_samples(study.rate_hz, end_s, point)
+        is_few = _turned_deg(turns, end_s * study.rate_hz) < _MANY_TURNS_DEG
+        if turning == "none" or (turning == "many" and is_few):
+            useless[name] = " unless it makes many" if turning == "many" else ""
+    good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
+    for name, few in useless.items():
+        text = f"{name} does not average gyro biases over the turns of a base{few} (use {good})"
+        yield f"[alignment] method: {text}"
 
 
-def describe_rounding(study: Study) -> Iterator[str]:
-    """Yield one line if whole samples change the times or rates of turns."""
-    plans = (_turns_of(study, point) for point in _turned_points(study))
-    changes = list(dict.fromkeys(change for plan in plans for change in plan.changes))
-    if changes:
-        more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
-        yield f"Turns are rounded to whole samples: {', '.join(changes[:3])}{more}."
+def _turned_deg(turns: list[Turn], end: float) -> float:
+    """Return the sum of the magnitudes of all angles turned by a sample."""
+    return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in turns)

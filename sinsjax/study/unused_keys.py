@@ -1,6 +1,6 @@
 """Keys of a study that have no effect on any of its runs, named in one line before it runs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from sinsjax.methods.method import INITIAL_KEYS
@@ -14,6 +14,7 @@ from sinsjax.study.keys import (
     reading_methods,
 )
 from sinsjax.study.study import COARSE_START, Study
+from sinsjax.value_types import KeyCondition
 
 _MAX_LISTED_VALUES = 3  # of a key in one line
 
@@ -66,16 +67,16 @@ def _idle_reason(study: Study, key: str, tuned: bool) -> str | None:
             return "with coarse alignment"
     if any(has_effect(key, point) for point in points):
         return None
-    for condition in effect_conditions(key):
-        values = {given: {point[given] for point in points} for given in condition.given}
-        if not any(condition.acts(*(p[given] for given in condition.given)) for p in points):
-            return f"with {', '.join(_format_values(*entry) for entry in values.items())}"
-    return "in any variant"
+    idle = (c for c in effect_conditions(key) if not c.acts_at(points))
+    return next((describe_idle(condition, points) for condition in idle), "in any variant")
 
 
-def _format_values(key: str, values: set[Any]) -> str:
-    """Return the values of a key as a condition in a message."""
-    if len(values) > _MAX_LISTED_VALUES:
-        return f"these values of {key}"
-    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in sorted(values, key=str)]
-    return f"no {key}" if values == {None} else f"{key} = {' or '.join(shown)}"
+def describe_idle(condition: KeyCondition, points: Sequence[Mapping[str, Any]]) -> str:
+    """Return the values of keys at some points, with which others have no effect, as text."""
+    parts = []
+    for key in condition.given:
+        values = sorted({point[key] for point in points}, key=str)
+        shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in values]
+        text = f"no {key}" if values == [None] else f"{key} = {' or '.join(shown)}"
+        parts.append(text if len(values) <= _MAX_LISTED_VALUES else f"these values of {key}")
+    return f"with {', '.join(parts)}"

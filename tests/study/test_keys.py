@@ -21,11 +21,11 @@ from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
 import sinsjax
+from docs.studies import keys_page
 from sinsjax import InputError, StudyWarning, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study import keys as study_keys
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.study import Study
 from sinsjax.study.unused_keys import list_idle_keys
@@ -56,27 +56,9 @@ def words_of(section: str, key: str) -> list[str]:
 
 def test_page_of_keys_and_schema_for_editors_have_every_key():
     page = (ROOT / "docs" / "keys.md").read_text(encoding="utf-8")
-    assert page == study_keys.keys_page() and study_keys.study_schema() == SCHEMA
+    assert page == keys_page.keys_page() and keys_page.study_schema() == SCHEMA
     assert all(f"`{key}`" in page for _, key in KEYS)
     assert len(SECTION_OF) == sum(section != "record" for section, _ in KEYS)  # else no axis
-
-
-def test_description_of_every_key_gives_its_words():
-    for section, key in KEYS:
-        told = DEFINED[f"{section}.{key}"]["description"]
-        assert told.partition(";")[0], key
-        for word in words_of(section, key):
-            assert f"'{word}'" in told or f'"{word}"' in told, key
-
-
-def test_methods_that_read_a_key_are_those_on_which_it_acts():
-    silent = [name for name, method in METHODS.items() if "phi_u0_deg" in method.idle_keys]
-    for place, readers in (
-        ("alignment.phi_u0_deg", f"all but {', '.join(silent)}"),
-        ("compass.level_sigma_per_s", "compass"),
-        ("earth.latitude_deg", "all"),
-    ):
-        assert DEFINED[place]["description"].endswith(f"; methods: {readers}")
 
 
 def test_schema_accepts_shipped_studies_and_rejects_mistakes():
@@ -263,21 +245,6 @@ def test_line_lists_keys_that_no_method_reads(load):
     before = study_from_dict(tables)
     after = before.replace({"alignment.method": "compass"})
     assert after.replace({"alignment.method": "kalman5"}) == before
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_line_names_every_given_key_that_is_silent(method, load):
-    tables: dict[str, Any] = {**BASE, "alignment": {"method": method, "phi_u0_deg": 20.0}}
-    silent = {*METHODS[method].idle_keys}
-    for key in silent:
-        words = words_of(SECTION_OF[key], key)
-        tables.setdefault(SECTION_OF[key], {})[key] = words[-1] if words else 20.0
-    if "resets" in METHODS[method].sections:
-        tables.setdefault("resets", {})["reset_times_s"] = [2.0]
-    _, notes = load(tables)
-    assert len(notes) == bool(silent)
-    for line in notes:
-        assert {*re.findall(r"\w+", line)} & SECTION_OF.keys() - {"method"} == silent
 
 
 def test_line_names_keys_whose_condition_does_not_hold(load):

@@ -307,8 +307,3 @@ def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):
     assert title == f"Study {name}" and len(lines) == 5 and max(map(len, lines)) <= 80
     assert f"{study.n_variants:,} variant" in facts[0] and study.methods[0] in facts[2]
     assert study_from_dict(tomllib.loads(tomli_w.dumps(study.to_dict()))) == study
-
-
-def test_display_escapes_text_from_a_file():
-    study = small_study(study={"name": "<script>&"})
-    assert "<script>" not in study._repr_html_() and "&lt;script&gt;&amp;" in study._repr_html_()

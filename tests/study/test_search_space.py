@@ -28,20 +28,15 @@ def tuned_study(given: dict[str, Any], *, changes: Any = None, **tune: Any) -> S
 
 @refused("""
 gyro_bias_deg_per_h = {low = 10, high = 90}  -> gyro_bias_deg_per_h: [sensors]
-p0_yaw_deg = 80.0                            -> p0_yaw_deg: 80.0
 p0_yaw_deg = {fixed = 1.0, scale = "log"}    -> p0_yaw_deg.scale: low high
 reset_times_s = [{low = 1, high = 3}, {low = 3, high = 3}]    -> reset_times_s[1].high: 3
 feedback_time_constant_s = {low = 0.0, high = 1.0, scale = "log"}
     -> feedback_time_constant_s.scale: 'log' low 0
-p0_yaw_deg = {low = -1.0, high = 1.0}        -> p0_yaw_deg.low: 0 -1.0
 reset_times_s = {candidates = [[1.0], [2.0, 1.0]]}    -> reset_times_s.candidates[1]: increase
-reset_kind = {candidates = []}               -> reset_kind.candidates: empty
 reset_times_s = [{candidates = [1.0, 2.0]}]  -> reset_times_s[0].candidates: whole
 reset_count = {low = 1, high = 3}            -> reset_count: candidates
 reset_kind = {candidates = ["full", "full"]} -> reset_kind.candidates: repeats
-p0_yaw_deg = {low = 1.0}                     -> p0_yaw_deg: high fixed candidates
 p0_yaw_deg = [{low = 10, high = 90}]         -> p0_yaw_deg: list
-reset_times_s = {low = 10, high = 90}        -> reset_times_s: list
 reset_times_s = [{low = 1, high = 3}] & reset_cycle_s = {low = 10, high = 90}
     -> reset_times_s: reset_cycle_s [tune.variables]
 reset_times_s = [{low = 1, high = 3}] & reset_count = {candidates = [1, 3]}
@@ -65,7 +60,6 @@ tune = {variables.p0_yaw_deg = {fixed = 1.0}, searches = ["gradient"]}
 axes.p0_yaw_deg = [1.0]                      -> [tune.variables] p0_yaw_deg: [axes]
 tune.variables.reset_times_s = [{low = 1, high = 3}] & axes.reset_count = [0, 1]
     & resets.reset_cycle_s = 1.0             -> [tune.variables] reset_times_s: reset_count [axes]
-tune.baseline.q_scale = 2.0 & axes.q_scale = [1.0]       -> [tune.baseline] q_scale: [axes]
 tune.baseline = {reset_times_s = [1.0], reset_count = 1}
     -> [tune.baseline] reset_times_s: reset_count [tune.baseline]
 tune.baseline.reset_times_s = [9.0]          -> [tune.baseline]: reset_times_s 9 6
