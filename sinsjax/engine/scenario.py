@@ -42,6 +42,7 @@ from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study import sampling
+from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
 from sinsjax.study.schema import (
@@ -55,7 +56,7 @@ from sinsjax.study.schema import (
 from sinsjax.study.study import Span, Study
 from sinsjax.study.success import settling_bands
 from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.turns import turns_in_samples
+from sinsjax.study.turns import data_end_s, turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
 from sinsjax.types import Array, Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
@@ -289,13 +290,14 @@ def _criteria(study: Study, keys: Variants) -> Criteria:
     if study.counts_before:
         coarse = (keys.common(key) for key in COARSE_KEYS)
         before = study.samples_before(study.rate_hz, *coarse)
+    intervals = (np.asarray(study.report_times_s) * study.rate_hz - before) / study.record_every
     return Criteria(
         bands=np.asarray(settling_bands(study)) * ARCMIN,
         window_start=np.float64(settings.window_s[0]),
         window_end=np.float64(settings.window_s[1]),
         consistency_after=np.float64(settings.consistency_after_s),
         steady_after=np.float64(settings.steady_after_s),
-        report_samples=study.report_samples(before) if study.report_times_s else None,
+        report_samples=np.round(intervals) * study.record_every if len(intervals) else None,
     )
 
 
@@ -492,7 +494,7 @@ def _moves(keys: Variants) -> bool:
 def read_motion(keys: Variants) -> Motion:
     """Return the whole motion of the base: sways, turns, given attitudes, and the lever arm."""
     motion = add_turns(read_sways(keys.common), keys)
-    if (given := keys.attitude) is not None:
+    if (given := read_attitude(keys.study)) is not None:
         motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
     rotates = _moves(keys) or keys.is_active("vibration_deg_per_h_rms")
     if rotates and keys.is_active("lever_arm_m"):
@@ -505,7 +507,7 @@ def add_turns(motion: Motion, keys: Variants) -> Motion:
     """Return the motion of the base with its turns, if it has any."""
     values, rate_hz = {key: keys.common(key) for key in TURN_KEYS}, keys.rate_hz
     turns_given = values["turn_times_s"]
-    plan = turns_in_samples(rate_hz, keys.data_end_s, values) if turns_given else []
+    plan = turns_in_samples(rate_hz, data_end_s(keys.study), values) if turns_given else []
     if not plan:
         return motion
     begin, length, ramp, angles, rate = np.array(plan, float).T

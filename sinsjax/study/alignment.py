@@ -6,7 +6,7 @@ from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
-from sinsjax.methods.registry import BROKEN, METHODS, external_names
+from sinsjax.methods.registry import METHODS, external_names
 from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
@@ -16,8 +16,6 @@ def _check_method_name(name: Any, check: Any) -> Any:
     """Return the name of a method, or raise an error with the known names."""
     if isinstance(name, str) and external_names([name]):
         return name
-    if isinstance(name, str) and name in BROKEN.keys() - METHODS.keys():
-        raise rule_error(f"{name!r} cannot be used: {BROKEN[name]}")
     try:
         return check(name)
     except ValidationError as error:

@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
 from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
-from sinsjax.methods.registry import register_external
+from sinsjax.methods.registry import BROKEN, METHODS, register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
@@ -153,6 +153,7 @@ Study.from_tables = staticmethod(_build)
 def _read_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables: names, sweep, defaults, values, rules."""
     tables, errors = without_gone_settings(copy_tables(data, tuple)), ErrorCollector()
+    _check_methods_usable(tables)
     _check_tables(tables)
     _register_external(tables)
     sweep, inherited = read_sweep(tables, errors)
@@ -210,6 +211,18 @@ def _check_tuning_points(study: Study) -> None:
     for place, point in corners.items():
         build_point(place, point)
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
+
+
+def _check_methods_usable(data: Any, key: str = "") -> None:
+    """Refuse a word under a key ``method`` that names a method that cannot be used."""
+    if isinstance(data, Mapping):
+        for name, value in data.items():
+            _check_methods_usable(value, name)
+    elif isinstance(data, tuple):
+        for value in data:
+            _check_methods_usable(value, key)
+    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
+        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
 
 
 def _check_tables(data: TomlTable) -> None:

@@ -297,15 +297,6 @@ class Study(_SectionsOfMethods):
         """Times of data at which runs are reported in addition to their end, s."""
         return self.study.report_times_s or ()
 
-    def report_samples(self, before: int) -> np.ndarray:
-        """Return the numbers, from 1, of the samples of a run at the report times; (times,).
-
-        Args:
-            before: samples of data that count before the first of the run, see `counts_before`.
-        """
-        samples = np.asarray(self.report_times_s) * self.rate_hz - before
-        return np.round(samples / self.record_every) * self.record_every
-
     def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
         """Return whether coarse alignment is a stage of runs with these values.
 

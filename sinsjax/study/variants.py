@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from sinsjax.records.reference import Reference
-from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.study import Study
 from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.turns import data_end_s
 from sinsjax.units import si_factor
 
 Lookup = Callable[[str], Any]
@@ -22,6 +19,7 @@ class Variants:
     """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
+        study: the study.
         ids: (variants,) numbers of the variants in the study.
         record_interval_s: time between two record times, s.
         run_s: length of the shortest run, s.
@@ -53,7 +51,7 @@ class Variants:
             site: `methods.method.Site` of the variants, for the params of a method.
             micro_g: the micro-g that the study counts in, m/s^2, likewise.
         """
-        self._study, self._drawn = study, drawn or {}
+        self.study, self._drawn = study, drawn or {}
         self.ids, self.count = ids, len(ids)
         self.site, self.micro_g = site, micro_g
         self.run_s, self.end, self.rate_hz = study.run_s, study.end, study.rate_hz
@@ -61,23 +59,13 @@ class Variants:
         self.has, self.given_in, self.refuse = study.has, study.given_in, study.refuse
         self.combinations, self.given_combinations = study.combinations, study.given_combinations
 
-    @property
-    def data_end_s(self) -> float:
-        """Length of the data that the longest run of the study reads, s."""
-        return data_end_s(self._study)
-
-    @property
-    def attitude(self) -> Reference | None:
-        """Attitude of the base over time, if the study has a file of it."""
-        return read_attitude(self._study)
-
     @cached_property
     def _are_all(self) -> bool:
-        return self.count == self._study.n_variants and bool(np.all(np.diff(self.ids) == 1))
+        return self.count == self.study.n_variants and bool(np.all(np.diff(self.ids) == 1))
 
     def coded(self, *keys: str) -> CodedColumn:
         """Return the column of these variants, see `Study.coded`."""
-        whole = self._study.coded(*keys)
+        whole = self.study.coded(*keys)
         return whole if self._are_all else whole.take(self.ids)
 
     def _map(self, function: Callable[..., Any], keys: tuple[str, ...]) -> CodedColumn:
@@ -86,12 +74,12 @@ class Variants:
 
     def value(self, key: str, variant: int) -> Any:
         """Return the value of a key in the variant with this index in the part."""
-        codes, choices = self._study.coded(key)
+        codes, choices = self.study.coded(key)
         return choices[codes[self.ids[variant]]]
 
     def column(self, key: str, factor: float = 1.0) -> np.ndarray:
         """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
-        if key in self._study.drawn_keys:
+        if key in self.study.drawn_keys:
             return np.zeros(self.count)
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
@@ -101,7 +89,7 @@ class Variants:
 
     def rms(self, key: str) -> np.ndarray:
         """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
-        law = None if self._study.drawn is None else self._study.drawn.laws.get(key)
+        law = None if self.study.drawn is None else self.study.drawn.laws.get(key)
         if law is not None:
             return np.full(self.count, law.rms)
         return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
@@ -126,7 +114,7 @@ class Variants:
 
     def is_active(self, *keys: str) -> bool:
         """Return whether one of some keys, which all variants share, is drawn or not zero."""
-        drawn = self._study.drawn_keys
+        drawn = self.study.drawn_keys
         return any(key in drawn or np.any(self.value(key, 0) or 0) for key in keys)
 
     @classmethod
