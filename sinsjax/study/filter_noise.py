@@ -1,5 +1,6 @@
 """Q and R of a filter: by their keys, or by the white noise of the sensors and the surge."""
 
+from collections.abc import Callable
 from functools import partial
 
 from sinsjax.methods.filters.keys import (
@@ -111,5 +112,8 @@ def _check_r(study: Study) -> None:
             study.refuse("r_velocity_m_per_s", text)
 
 
-NOISE_RULES = (_check_q_unit, *(partial(_check_q, noise) for noise in _NOISES), _check_r)
+NOISE_RULES: tuple[Callable[[Study], None], ...] = (
+    *(_check_q_unit, partial(_check_q, ACCEL_NOISE), partial(_check_q, GYRO_NOISE)),
+    _check_r,
+)
 """The rules of Q and R, for a study with [filter]."""

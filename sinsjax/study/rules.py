@@ -385,9 +385,9 @@ def _check_drawn_values(study: Study) -> None:
     for key in doubtful:
         for place in map(int, (drawn[key].argmin(), drawn[key].argmax())):
             value = float(drawn[key].flat[place])
-            if text := error(key, value):
+            if reason := error(key, value):
                 draw = place // NUMBERS_DRAWN[key]
-                found.setdefault(key, f"draw {draw} gives {value!r}: {text}")
+                found.setdefault(key, f"draw {draw} gives {value!r}: {reason}")
     _refuse_all(study, found)
 
 
