@@ -2,8 +2,8 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,14 +16,16 @@ from sinsjax.advice.heading import (
     KEYS,
     SOURCES,
     Budget,
+    heading_budget,
     share_beyond,
-    sheet_budget,
+    sheet_problem,
     wrapped_quantile,
     wrapped_rms,
 )
 from sinsjax.advice.method import Choice, choose_method
-from sinsjax.advice.sheet import SHORTEST_S, Sheet, read_sheet, without_empty
-from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
+from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, without_empty
+from sinsjax.bounds.information import HeadingProblem, heading_bound
+from sinsjax.bounds.turn_planner import SHORTEST_S, TurnChoice, compare_turns
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study import display
@@ -35,15 +37,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SHARE = 0.95
-TURN_ON = ("gyro_bias", "accel_bias")
-"""Sources of the budget that are constant in a run."""
-
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _NOT_FOUND, _FAR = 0.5, 30 * DEG
 _LARGE_SHARE = 0.2
 _UG = micro_g(9.8)
 _HIGH_LATITUDE_DEG = 75.0
+_ROTATES_DEG = 0.5
 _COARSE = 0.1  # rad, above which errors are no longer small
 
 
@@ -54,13 +54,11 @@ class Heading(NamedTuple):
         time_s: length of the data, s.
         rms_arcmin: root mean square, from true north.
         within_95_arcmin: what 95 % of the alignments stay within.
-        bound_arcmin: information bound of 1 sigma, in linear theory.
     """
 
     time_s: float
     rms_arcmin: float
     within_95_arcmin: float
-    bound_arcmin: float
 
 
 @dataclass(frozen=True)
@@ -71,14 +69,16 @@ class Advice:
         sheet: what was asked.
         headings: errors to expect, by time.
         choice: the method and its settings.
-        turns: the base parked, and turned in usual ways, by information bound; None if the sheet
+        budget: variance of the method's heading by source, over time.
+        bound_arcmin: information bound of the heading at the time asked for, 1 sigma of linear
+            theory, arcmin.
+        turns: the base as it is, and turned in usual ways, with the same method; None if the sheet
             turns the base itself.
         resets: the law's schedule of a five-state filter with the same noise; None without one.
-        budget: variance of the heading by source.
 
     Examples:
-        >>> advice = sinsjax.advise(imu="kvh1775", latitude_deg=48.0, motion="sway")
-        >>> advice.heading.rms_arcmin < 2 * advice.heading.bound_arcmin
+        >>> advice = sinsjax.advise(imu="kvh1775", latitude_deg=48.0, motion="rocking")
+        >>> advice.heading.rms_arcmin < 2 * advice.bound_arcmin
         True
         >>> print(advice.choice.toml.partition("fit_accel")[0])
         [alignment]
@@ -93,9 +93,10 @@ class Advice:
     sheet: Sheet
     headings: tuple[Heading, ...]
     choice: Choice
+    budget: Budget
+    bound_arcmin: float
     turns: TurnChoice | None
     resets: ResetPlan | None
-    budget: Budget
 
     @property
     def name(self) -> str:
@@ -130,14 +131,27 @@ class Advice:
     @cached_property
     def halved_rms_arcmin(self) -> float:
         """Rms heading error at the time asked for, arcmin, with half of the dominant source."""
-        half = scale_source(self.sheet, self.dominant, 0.5)
-        (sigma,) = sheet_budget(half, [self.time_s]).sigma
-        return wrapped_rms(sigma * self.choice.loss(sigma)) / ARCMIN
+        return _rms_at_the_end(scale_source(self.sheet, self.dominant, 0.5))
+
+    @cached_property
+    def surging_rms_arcmin(self) -> float:
+        """Rms heading error at the time asked for, arcmin, if the base surged as by `MOTIONS`."""
+        motion = self.sheet.tables["motion"]
+        surge = {key: v for key, v in MOTIONS["surging"].items() if key.startswith("surge")}
+        return _rms_at_the_end(
+            replace(self.sheet, tables=self.sheet.tables | {"motion": motion | surge})
+        )
+
+    @property
+    def sigma(self) -> float:
+        """1 sigma of the method's heading at the time asked for, rad, before it is wrapped."""
+        (here,) = np.flatnonzero(self.budget.times_s == self.time_s)
+        return self.choice.expected_sigma(self.budget.sigma[here], self.budget.varying[here])
 
     @property
     def loss(self) -> float:
-        """Error of the method over the bound at the time asked for, where errors are small."""
-        return self.choice.loss(self.heading.bound_arcmin * ARCMIN)
+        """Error of the method over the bound at the time asked for."""
+        return self.sigma / (self.bound_arcmin * ARCMIN)
 
     @cached_property
     def misses_turns(self) -> bool:
@@ -147,7 +161,7 @@ class Advice:
     @property
     def is_coarse(self) -> bool:
         """Whether the error at the time asked for is beyond linear theory."""
-        return self.heading.bound_arcmin * ARCMIN > _COARSE
+        return self.bound_arcmin * ARCMIN > _COARSE
 
     @property
     def settles(self) -> tuple[float, float | None]:
@@ -200,7 +214,7 @@ class Advice:
             "heading_rms_arcmin": here.rms_arcmin,
             "heading_95_arcmin": here.within_95_arcmin,
             "heading_rms_sec_latitude_arcmin": here.rms_arcmin * self._cos_latitude,
-            "bound_arcmin": here.bound_arcmin,
+            "bound_arcmin": self.bound_arcmin,
             "headings": [
                 one._asdict() for one in self.headings if one.time_s in self.sheet.times_s
             ],
@@ -269,7 +283,7 @@ def advise(
         imu: name of a shipped sheet instead, such as "kvh1775".
         latitude_deg: latitude, deg, in place of that of the sheet.
         time_s: time that there is to align, s, likewise.
-        motion: "still", "sway" or "surge", likewise.
+        motion: "still", "rocking" or "surging", likewise; see `MOTIONS` for their numbers.
         changes: values by ``section.key`` that replace those of the sheet.
 
     Raises:
@@ -299,12 +313,27 @@ def advise(
 
 def advise_sheet(given: Sheet) -> Advice:
     """Return the advice for a sheet that was read."""
-    choice, budget = choose_method(given), sheet_budget(given, _times(given))
-    headings = [
-        expect_heading(choice, time, sigma)
-        for time, sigma in zip(budget.times_s, budget.sigma, strict=True)
-    ]
-    return Advice(given, tuple(headings), choice, _turns(given), _resets(given, budget), budget)
+    choice, problem = choose_method(given), sheet_problem(given)
+    left_out = methods.LEFT_OUT[choice.method]
+    budget = heading_budget(problem, _times(given), left_out)
+    (bound,) = heading_bound([given.asked.time_s], problem)
+    return Advice(
+        sheet=given,
+        headings=tuple(_iter_headings(choice, budget)),
+        choice=choice,
+        budget=budget,
+        bound_arcmin=float(bound / ARCMIN),
+        turns=_turns(given, problem, left_out),
+        resets=_resets(given, budget),
+    )
+
+
+def _rms_at_the_end(sheet: Sheet) -> float:
+    """Return the rms heading error of a sheet at the time asked for, arcmin."""
+    choice, time_s = choose_method(sheet), sheet.asked.time_s
+    left_out = methods.LEFT_OUT[choice.method]
+    (heading,) = _iter_headings(choice, heading_budget(sheet_problem(sheet), [time_s], left_out))
+    return heading.rms_arcmin
 
 
 def _times(sheet: Sheet) -> list[float]:
@@ -314,15 +343,12 @@ def _times(sheet: Sheet) -> list[float]:
     return sorted({*sheet.times_s, *(float(round(time)) for time in curve)})
 
 
-def expect_heading(choice: Choice, time_s: float, sigma: float) -> Heading:
-    """Return the heading error that a method leaves where the bound has 1 sigma, rad."""
-    expected = choice.loss(sigma) * sigma
-    return Heading(
-        float(time_s),
-        wrapped_rms(expected) / ARCMIN,
-        wrapped_quantile(expected, _SHARE) / ARCMIN,
-        float(sigma / ARCMIN),
-    )
+def _iter_headings(choice: Choice, budget: Budget) -> Iterator[Heading]:
+    """Yield the heading error of a method at each time of its budget."""
+    for time_s, *sigmas in zip(budget.times_s, budget.sigma, budget.varying, strict=True):
+        expected = choice.expected_sigma(*sigmas)
+        rms, within = wrapped_rms(expected), wrapped_quantile(expected, _SHARE)
+        yield Heading(float(time_s), rms / ARCMIN, within / ARCMIN)
 
 
 def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
@@ -334,28 +360,14 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
                 tables[name][key] = (np.asarray(tables[name][key]) * factor).tolist()
         if key in tables["drawn"]:
             tables["drawn"][key] = {"normal": [0.0, factor * sheet.sigma(key)]}
-    return Sheet(sheet.name, tables, sheet.asked, sheet.doubts)
+    return replace(sheet, tables=tables)
 
 
-def _turns(sheet: Sheet) -> TurnChoice | None:
-    """Compare usual ways to turn the IMU, on a base that is quiet otherwise."""
+def _turns(sheet: Sheet, problem: HeadingProblem, left_out: Sequence[str]) -> TurnChoice | None:
+    """Compare usual ways to turn the IMU with the sheet's own motion and sensors."""
     if sheet.is_turned:
         return None
-    sensors, gyro, accel = sheet.tables["sensors"], methods.gyro_density, methods.accel_density
-    return plan_turns(
-        gyro_bias_deg_per_h=sheet.sigma("gyro_bias_deg_per_h"),
-        gyro_arw_deg_per_sqrt_h=gyro(sheet),
-        accel_bias_ug=sheet.sigma("accel_bias_ug"),
-        accel_vrw_ug_per_sqrt_hz=accel(sheet),
-        latitude_deg=float(sheet.tables["earth"]["latitude_deg"]),
-        duration_s=sheet.asked.time_s,
-        gyro_instability_deg_per_h=sheet.sigma("gyro_instability_deg_per_h"),
-        gyro_instability_time_s=float(sensors.get("gyro_instability_time_s", 300.0)),
-        accel_instability_ug=sheet.sigma("accel_instability_ug"),
-        accel_instability_time_s=float(sensors.get("accel_instability_time_s", 300.0)),
-        gyro_scale_ppm=sheet.sigma("gyro_scale_ppm"),
-        gyro_misalignment_arcsec=sheet.sigma("gyro_misalignment_arcsec"),
-    )
+    return compare_turns(problem, sheet.asked.time_s, left_out)
 
 
 def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
@@ -365,9 +377,7 @@ def _resets(sheet: Sheet, budget: Budget) -> ResetPlan | None:
     """
     if sheet.is_turned:
         return None
-    varying = [source not in TURN_ON for source in budget.sources]
-    variance = float(budget.variance[:, varying].sum(axis=1).min())
-    least = math.sqrt(max(variance, 0.0)) / ARCMIN  # its parts are derivatives, with rounding
+    least = float(budget.varying.min()) / ARCMIN
     for band_arcmin in (10.0, 60.0, 300.0):
         if 2 * least > band_arcmin:
             continue
@@ -386,29 +396,31 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
     within_deg = here.within_95_arcmin / 60
     if asked.wanted_deg is not None and within_deg > asked.wanted_deg:
         last = advice.headings[-1]
-        text = f"95 % stay within {_degrees(within_deg)}, not {_degrees(asked.wanted_deg)}"
+        text = f"95 % stay within {format_angle(here.within_95_arcmin)}"
+        text += f", not {format_angle(60 * asked.wanted_deg)}"
         if last.within_95_arcmin / 60 > asked.wanted_deg and advice.turns is not None:
-            text += f"; no method at rest gets under {_degrees(last.within_95_arcmin / 60)}"
+            text += f"; no method at rest gets under {format_angle(last.within_95_arcmin)}"
             text += f" in {last.time_s:g} s"
         yield text
-    sigma = advice.loss * here.bound_arcmin * ARCMIN
+    sigma = advice.sigma
     if sigma > _COARSE:
         far = f"{share_beyond(sigma, _FAR):.0%} of the headings are off by more than 30 deg"
         if sigma > _NOT_FOUND:
-            turns = advice.turns
-            found = turns is not None and turns.best.sigma_arcmin * ARCMIN < _COARSE
-            more = ""
-            if turns is not None and found and advice.choice.method == methods.FILTER:
-                more = "; an IMU that is turned without surge finds it"
-            elif turns is not None and found:
+            turns, more = advice.turns, ""
+            if turns is not None and turns.best.sigma_arcmin * ARCMIN < _COARSE:
                 more = f"; an IMU that is turned finds it: {_describe_turn_keys(turns)}"
             yield f"north is not found: {far}, for {_describe_dominant(advice)}{more}"
         else:
             yield f"beyond linear theory: 20 % more or less are possible, and {far}"
     if advice.misses_turns:
         yield (
-            f"{methods.FILTER} does not separate the gyro biases by the turns of the base: its"
-            " error is far above the numbers here (turn without surge, for gravity_fit)"
+            f"{methods.FILTER} does not estimate gyro biases, so the turns of the base hardly help"
+            " (turn without surge, for gravity_fit)"
+        )
+    if _rotates(motion) and not level_surge(motion.get("surge_m_per_s")):
+        yield (
+            "the base is assumed to rotate without moving: a surge of 0.1 m/s rms would make it"
+            f" {format_angle(advice.surging_rms_arcmin)} (--motion surging)"
         )
     if abs(advice.latitude_deg) >= _HIGH_LATITUDE_DEG:
         factor = f"{1 / advice._cos_latitude:.3g}"
@@ -418,20 +430,24 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             "the surge of the base is taken for a process of known rms and correlation time"
             " (surge_m_per_s, surge_time_s); a gust or a step that is not like it costs more"
         )
-    speed = vibration_speed(advice.sheet)
-    quiet = methods.accel_density(advice.sheet) * _UG + level_surge(motion.get("surge_m_per_s"))
-    if speed > 0.5 * quiet:
+    if (speed := _swing_speed(motion)) > 0.5 * methods.accel_density(advice.sheet) * _UG:
         yield (
-            f"vibration moves the sensors at {speed:.2g} m/s rms, of which {advice.choice.method}"
-            " knows nothing: errors are above the numbers here (gravity_fit with laser gyros at"
-            " 0.00026 m/s: 1.5 times after 60 s, 1.1 times after 300 s; at 0.12 m/s: 100 times)"
+            f"angular vibration swings the sensors at the end of the lever arm at {speed:.2g} m/s"
+            f" rms, of which {advice.choice.method} knows nothing: errors are above the numbers"
+            " here, up to 100 times"
         )
     known = asked.known_heading_deg
     if known is not None and known * 60 < here.rms_arcmin:
         yield (
-            f"the heading known before, {_degrees(known)}, is better than what these data give:"
-            " keep it"
+            f"the heading known before, {format_angle(60 * known)}, is better than what these data"
+            " give: keep it"
         )
+
+
+def _rotates(motion: Mapping[str, Any]) -> bool:
+    """Return whether the base sways by more than half a degree."""
+    amplitudes = (motion.get(f"{axis}_amplitude_deg", 0.0) for axis in ("pitch", "roll", "yaw"))
+    return any(np.any(np.abs(amplitude) > _ROTATES_DEG) for amplitude in amplitudes)
 
 
 def _describe_turn_keys(turns: TurnChoice) -> str:
@@ -452,18 +468,10 @@ def _describe_dominant(advice: Advice) -> str:
     return f"{text} of {bias:.3g} deg/h; the level part of the Earth rate is {rate:.3g} deg/h"
 
 
-def vibration_speed(sheet: Sheet) -> float:
-    """Return the rms speed along an axis at which vibration moves the sensors, m/s.
-
-    Linear vibration does, and angular vibration at the end of a lever arm.
-    """
-    motion = sheet.tables["motion"]
-    rms = {
-        key: float(np.max(np.abs(np.asarray(motion.get(key, 0.0), float))))
-        for key in ("vibration_ug_rms", "vibration_deg_per_h_rms", "lever_arm_m")
-    }
-    linear = rms["vibration_ug_rms"] * _UG / (2 * math.pi * motion.get("vibration_hz", 30.0))
-    return math.hypot(linear, rms["vibration_deg_per_h_rms"] * DEG_PER_H * rms["lever_arm_m"])
+def _swing_speed(motion: Mapping[str, Any]) -> float:
+    """Return the rms speed, m/s, at which angular vibration moves the end of the lever arm."""
+    rate, arm = motion.get("vibration_deg_per_h_rms", 0.0), motion.get("lever_arm_m", 0.0)
+    return float(np.max(np.abs(rate)) * DEG_PER_H * np.max(np.abs(arm)))
 
 
 def finite_or_none(value: float) -> float | None:
@@ -471,5 +479,8 @@ def finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _degrees(value_deg: float) -> str:
-    return f"{60 * value_deg:.2g}'" if value_deg < 1 else f"{value_deg:.3g} deg"
+def format_angle(arcmin: float) -> str:
+    """Return an angle, arcmin, in degrees where it is large."""
+    if arcmin < 100:
+        return f"{arcmin:.1f}'" if arcmin < 20 else f"{arcmin:.0f}'"
+    return f"{arcmin / 60:.1f} deg" if arcmin < 600 else f"{arcmin / 60:.0f} deg"

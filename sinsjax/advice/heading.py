@@ -1,7 +1,7 @@
 """The heading error to expect with a sheet's sensors, and what each source adds to it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,8 @@ from scipy import special
 
 from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
-from sinsjax.bounds.information import heading_budget
+from sinsjax.bounds.estimator import heading_variances
+from sinsjax.bounds.information import HeadingProblem
 from sinsjax.execution.information import budget_problem
 
 SOURCES = {
@@ -30,7 +31,7 @@ SOURCES = {
     "accel_scale": "accelerometer scale factor",
     "accel_misalignment": "accelerometer axis misalignment",
 }
-"""Sources of errors by their names in `heading_budget`."""
+"""Sources of errors by their names in `heading_variances`."""
 
 KEYS = {
     "gyro_bias": ("gyro_bias_deg_per_h",),
@@ -52,6 +53,9 @@ KEYS = {
 }
 """Keys of each source."""
 
+TURN_ON = ("gyro_bias", "accel_bias")
+"""Sources that are constant in a run."""
+
 _LEAST_SHARE = 1e-9
 _CELLS = 4000
 _RATE_HZ = 100.0
@@ -59,7 +63,7 @@ _RATE_HZ = 100.0
 
 @dataclass(frozen=True)
 class Budget:
-    """Variance of the heading over time, by source, of the estimator that has the least.
+    """Variance of the heading over time, by source, of a linear estimator.
 
     Attributes:
         times_s: (times,).
@@ -76,6 +80,12 @@ class Budget:
         """(times,) 1 sigma of the sum, rad."""
         return np.sqrt(self.variance.sum(axis=1))
 
+    @property
+    def varying(self) -> np.ndarray:
+        """(times,) 1 sigma of all but the `TURN_ON` biases, rad."""
+        varying = [source not in TURN_ON for source in self.sources]
+        return np.sqrt(self.variance[:, varying].sum(axis=1))
+
     def shares(self, time_s: float) -> dict[str, float]:
         """Return the part of each source in the variance at a time, the largest first."""
         (row,) = self.variance[self.times_s == time_s]
@@ -83,10 +93,10 @@ class Budget:
         return dict(sorted(parts.items(), key=lambda part: -part[1]))
 
 
-def sheet_budget(sheet: Sheet, times_s: Sequence[float]) -> Budget:
-    """Return the budget of a sheet at some times, whole seconds.
+def sheet_problem(sheet: Sheet) -> HeadingProblem:
+    """Return the base and the sensors of a sheet.
 
-    It does not depend on the rate of the data, but a round one makes whole steps.
+    The bound does not depend on the rate of the data, but a round one makes whole steps.
     """
     tables = sheet.tables["drawn"]
     drawn = {key: table for key, table in tables.items() if key != "yaw_center_deg"}
@@ -102,9 +112,15 @@ def sheet_budget(sheet: Sheet, times_s: Sequence[float]) -> Budget:
         if sensors.pop(key, None):
             sensors[density] = of(sheet)
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
-    settings = {"rate_hz": rate, "duration_s": max(times_s), "draws": 1, "report_times_s": []}
-    study = sheet.study(sections | {"sensors": sensors}, **settings)
-    budget = heading_budget(times_s, budget_problem(study))
+    settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1, "report_times_s": []}
+    return budget_problem(sheet.study(sections | {"sensors": sensors}, **settings))
+
+
+def heading_budget(
+    problem: HeadingProblem, times_s: Sequence[float], left_out: Collection[str] = ()
+) -> Budget:
+    """Return the budget of an estimator at some times, whole seconds, see `heading_variances`."""
+    budget = heading_variances(times_s, problem, left_out)
     total = sum(budget.values())
     present = {name: part for name, part in budget.items() if np.any(part > _LEAST_SHARE * total)}
     return Budget(np.asarray(times_s), tuple(present), np.stack([*present.values()], axis=1))

@@ -12,10 +12,19 @@ from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
 
-_LOSS = {FIT: 1.0, FILTER: 1.03}
-"""Error over the bound where the heading error is small, see docs/advise.md."""
+LEFT_OUT = {
+    FIT: ("gyro_quantisation", "accel_quantisation", "shaking", "accel_scale"),
+    FILTER: (
+        *("gyro_quantisation", "accel_quantisation", "shaking"),
+        *("gyro_instability", "accel_instability", "gyro_walk", "accel_walk"),
+        *("gyro_bias", "accel_bias", "gyro_scale", "gyro_misalignment"),
+        *("accel_scale", "accel_misalignment"),
+    ),
+}
+"""Sources of errors, see `advice.heading.SOURCES`, for which a method has no unknowns."""
+
 _MOST_LOSS, _LOSS_PER_RAD = 0.2, 0.5
-"""What large heading errors add to the loss of the filter."""
+"""What large errors of the heading that vary add to those of the filter, see docs/advise.md."""
 
 
 class Choice(NamedTuple):
@@ -36,10 +45,17 @@ class Choice(NamedTuple):
         """The sections as TOML."""
         return tomli_w.dumps(self.sections).strip()
 
-    def loss(self, sigma: float) -> float:
-        """Return the factor on the bound, of the bound's own 1 sigma, rad."""
-        more = min(_MOST_LOSS, _LOSS_PER_RAD * sigma) if self.method == FILTER else 0.0
-        return _LOSS[self.method] + more
+    def expected_sigma(self, sigma: float, varying: float = 0.0) -> float:
+        """Return the 1 sigma to expect, rad, from that of linear theory.
+
+        Args:
+            sigma: of linear theory, rad.
+            varying: part of it that is not of constant biases, rad.
+        """
+        if self.method == FIT:
+            return sigma
+        more = 1 + min(_MOST_LOSS, _LOSS_PER_RAD * varying)
+        return math.sqrt(sigma**2 + (more**2 - 1) * varying**2)
 
 
 def choose_method(sheet: Sheet) -> Choice:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from sinsjax.bounds.turn_planner import LONGEST_S, SHORTEST_S
 from sinsjax.errors import InputError
 from sinsjax.messages import describe_broken_rule, suggest_closest
 from sinsjax.platform.assets import asset_path
@@ -18,23 +19,23 @@ from sinsjax.study.load import SHEET_TABLES, study_from_dict
 from sinsjax.study.schema import AdviseSection
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import correctable_errors
+from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
 _SHEETS = "configs/imu"
 TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""
 
 _DRAWS, _RATE_HZ = 1024, 100.0
-SHORTEST_S, _LONGEST_S = 10.0, 7200.0
-_SWAY = {
+_ROCKING = {
     **{"pitch_amplitude_deg": 1.8, "roll_amplitude_deg": 2.4, "yaw_amplitude_deg": 2.8},
     **{"pitch_period_s": 6.0, "roll_period_s": 8.0, "yaw_period_s": 10.0},
 }
 MOTIONS: dict[str, dict[str, Any]] = {
     "still": {},
-    "sway": _SWAY,
-    "surge": _SWAY | {"surge_m_per_s": 0.1, "surge_time_s": 5.0, "lever_arm_m": 1.0},
+    "rocking": _ROCKING,
+    "surging": _ROCKING | {"surge_m_per_s": 0.1, "surge_time_s": 5.0, "lever_arm_m": 1.0},
 }
-"""Motions by name: at rest, swaying as paper 1's base, the same surging with a lever arm."""
+"""Motions by name: at rest, rotating as paper 1's base, and the same translating as well."""
 
 CONSTANT_KEYS = (
     *("gyro_bias_deg_per_h", "accel_bias_ug", "gyro_scale_ppm", "gyro_misalignment_arcsec"),
@@ -43,14 +44,44 @@ CONSTANT_KEYS = (
 """Keys of errors that stay constant; advice takes a fixed value for 1 sigma."""
 
 _USUAL = {
-    "gyro_arw_deg_per_sqrt_h": (1e-4, 2.0, "deg/sqrt(h); deg/h/sqrt(Hz) are divided by 60"),
-    "gyro_instability_deg_per_h": (1e-4, 100.0, "deg/h; deg/s are multiplied by 3,600"),
-    "gyro_bias_deg_per_h": (5e-4, 2e4, "deg/h; deg/s are multiplied by 3,600"),
-    "accel_vrw_ug_per_sqrt_hz": (1.0, 1e3, "ug/sqrt(Hz); m/s/sqrt(h) are multiplied by 1,700"),
-    "accel_instability_ug": (0.5, 2e3, "ug; mg are multiplied by 1,000"),
-    "accel_bias_ug": (5.0, 1e5, "ug; mg are multiplied by 1,000"),
+    "gyro_instability_deg_per_h": (1e-4, 100.0, "deg/h"),
+    "gyro_rrw_deg_per_h_per_sqrt_h": (1e-4, 1e3, "deg/h/sqrt(h)"),
+    "gyro_arw_deg_per_sqrt_h": (1e-4, 2.0, "deg/sqrt(h)"),
+    "gyro_bias_deg_per_h": (5e-4, 2e4, "deg/h"),
+    "accel_instability_ug": (0.5, 2e3, "ug"),
+    "accel_rrw_ug_per_sqrt_h": (0.1, 1e5, "ug/sqrt(h)"),
+    "accel_vrw_ug_per_sqrt_hz": (1.0, 1e3, "ug/sqrt(Hz)"),
+    "accel_bias_ug": (5.0, 1e5, "ug"),
 }
 """Usual values from laser gyros to telephones, and their unit."""
+
+_NAMES = {
+    "instability": ("instability",),
+    "rrw": ("rrw", "rate_random_walk", "acceleration_random_walk"),
+    "arw": ("arw", "vrw", "random_walk", "noise"),
+    "bias": ("bias", "turn_on", "repeatability", "offset"),
+}
+"""What data sheets call each quantity; the first that fits decides."""
+
+_OTHER_UNITS = {
+    "gyro": {
+        "rad_per_s_per_sqrt_hz": ("arw", 1 / DEG_PER_SQRT_H),
+        "rad_per_sqrt_s": ("arw", 1 / DEG_PER_SQRT_H),
+        "deg_per_s_per_sqrt_hz": ("arw", 60.0),
+        "deg_per_h_per_sqrt_hz": ("arw", 1 / 60),
+        "deg_per_sqrt_s": ("arw", 60.0),
+        "rad_per_s": (None, 1 / DEG_PER_H),
+        "deg_per_s": (None, 3600.0),
+    },
+    "accel": {
+        "m_per_s2_per_sqrt_hz": ("arw", 1 / micro_g()),
+        "m_per_s_per_sqrt_h": ("arw", 1 / (60 * micro_g())),
+        "mg_per_sqrt_hz": ("arw", 1e3),
+        "m_per_s2": (None, 1 / micro_g()),
+        "mg": (None, 1e3),
+    },
+}
+"""Units of data sheets by sensor: the quantity that has them, if just one, and the factor."""
 
 _NOISE = {
     "gyro_arw_deg_per_sqrt_h": ("gyro_noise_deg_per_h", "the angle random walk of the data sheet"),
@@ -196,20 +227,38 @@ def _check_tables(data: Mapping[str, Any]) -> None:
             raise InputError(f"[{name}]: {text}{suggest_closest(name, SHEET_TABLES, '[{}]')}")
         if not isinstance(table, Mapping):
             raise InputError(f"[{name}]: must be a table of keys")
-    for name in ("sensors", "drawn"):
-        for key in data.get(name, {}):
-            for known, (low, high, unit) in _USUAL.items():
-                if key not in SECTION_OF and key.split("_")[:2] == known.split("_")[:2]:
-                    text = f"unknown key (did you mean {known}? usually {low:g} to {high:g} {unit})"
-                    raise InputError(f"[{name}] {key}: {text}")
+    given = ((name, key) for name in ("sensors", "drawn") for key in data.get(name, {}))
+    unknown = [(name, key) for name, key in given if key not in SECTION_OF]
+    if any(_describe_unknown_key(key) for _, key in unknown):
+        hints = (
+            (f"[{name}] {key}", _describe_unknown_key(key) or suggest_closest(key, SECTION_OF))
+            for name, key in unknown
+        )
+        raise InputError(*(f"{where}: unknown key{hint}" for where, hint in hints))
+
+
+def _describe_unknown_key(key: str) -> str:
+    """Return the key of a quantity, and the factor to its unit, from a name of a data sheet."""
+    sensor = key.partition("_")[0]
+    units = _OTHER_UNITS.get(sensor, {})
+    only, factor = next((units[unit] for unit in units if key.endswith(unit)), (None, None))
+    words = (name for name, words in _NAMES.items() if any(word in key for word in words))
+    quantity = next(words, only)
+    if only == "arw" and quantity != "rrw":
+        quantity = only
+    for known, (low, high, unit) in _USUAL.items():
+        if quantity and known.startswith((f"{sensor}_{quantity}", f"{sensor}_v{quantity[1:]}")):
+            convert = f"multiply by {factor:.6g}, " if factor else ""
+            return f" (did you mean {known}? {convert}usually {low:g} to {high:g} {unit})"
+    return ""
 
 
 def _complete(name: str, data: TomlTable) -> Sheet:
     """Check the tables and fill in what a study needs."""
     given = data.get("study", {})
     asked = _read_asked({"time_s": given.get("duration_s", 300.0)} | data.get("advise", {}))
-    if not SHORTEST_S <= asked.time_s <= _LONGEST_S or asked.time_s % 1:
-        text = f"must be whole seconds from {SHORTEST_S:g} to {_LONGEST_S:g}, not {asked.time_s:g}"
+    if not SHORTEST_S <= asked.time_s <= LONGEST_S or asked.time_s % 1:
+        text = f"must be whole seconds from {SHORTEST_S:g} to {LONGEST_S:g}, not {asked.time_s:g}"
         raise InputError(f"[advise] time_s: {text}")
     if not data.get("earth"):
         raise InputError("[earth] latitude_deg: required, deg (--latitude)")

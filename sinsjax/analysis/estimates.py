@@ -1,4 +1,4 @@
-"""Statistics of some runs, each with its 95 % interval.
+"""Statistics of some runs, and differences between two sets of runs, with 95 % intervals.
 
 Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
 `Estimate` states the number of values used. The intervals:
@@ -9,14 +9,17 @@ Nothing is omitted silently: a run that never settled counts as an infinite sett
 * standard deviations and root mean squares: on a logarithmic scale, see `_root_interval`; for
   normal values chi-square.
 
-Their coverage is in ``docs/statistics.md``, measured by a nightly test in ``tests/analysis``.
+Their coverage is in ``docs/results.md``, measured by a nightly test in ``tests/analysis``.
 
-The runs of a draw share its noise, and all runs on a record share the record, so they are not
-independent. All functions take the cluster of each value (see `sinsjax.analysis.cluster_ids`) and
-count clusters instead of values. An interval holds for other draws of the same variants: the
-spread between variants is not a sampling error. One cluster has no interval, since the spread
-between clusters is unknown. An end of an interval is also NaN if there are too few values to bound
-it.
+The runs of a draw share its noise, and all runs on a record share its sensor biases, and its
+samples where their spans overlap, so they are not independent. All functions take the cluster of
+each value, see `cluster_ids`, and count clusters instead of values. An interval holds for other
+draws of the same variants: the spread between variants is not a sampling error. One cluster has no
+interval, since the spread between clusters is unknown. An end of an interval is also NaN if there
+are too few values to bound it.
+
+Most of the noise of a draw cancels in a paired difference: its interval is much narrower than the
+two separate intervals suggest.
 """
 
 import math
@@ -25,19 +28,23 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from sinsjax.analysis.bounds import DrawCounts, quantile_bounds
-from sinsjax.analysis.clusters import ClusteredMean, validate_cluster_ids
+from sinsjax.analysis.bounds import quantile_bounds, share_bounds
+from sinsjax.analysis.tables import numeric_column
 
 CONFIDENCE = 0.95
 RESAMPLES = 1000
-SEED = 0
 TAIL = (1 - CONFIDENCE) / 2
+CLUSTER_COLUMNS = ("draw_id", "start_s")
+"""Columns of the summary that identify clusters."""
+
 _MIN_CLUSTERS = 5  # fewest clusters that bound a standard deviation or a root mean square
 _UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root_interval`
 _BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
+_SYMMETRIC = 1e-6
 
 
 class Estimate(NamedTuple):
@@ -58,6 +65,32 @@ class Estimate(NamedTuple):
 
 UNKNOWN = Estimate(math.nan, math.nan, math.nan, 0)
 """The estimate without any values."""
+
+
+def cluster_ids(table: pa.Table) -> NDArray | None:
+    """The cluster of each run, shape (rows,): its draw, or 0 for all runs on a record.
+
+    Differing start times imply a record. None without ``draw_id``: each run is its own cluster.
+
+    Args:
+        table: rows of the summary, with those of `CLUSTER_COLUMNS` that it has.
+    """
+    draw, start = CLUSTER_COLUMNS
+    if draw not in table.column_names:
+        return None
+    ids = numeric_column(table, draw).astype(int)
+    if start in table.column_names and np.unique(numeric_column(table, start)).size > 1:
+        return np.zeros_like(ids)
+    return ids
+
+
+def has_independent_runs(table: pa.Table) -> bool:
+    """Return whether no two runs of a table share a cluster, so that runs are independent."""
+    ids = cluster_ids(table)
+    return ids is None or np.unique(ids).size == ids.size
+
+
+# --- shares and quantiles -----------------------------------------------------------------------
 
 
 @lru_cache(maxsize=4096)
@@ -102,18 +135,14 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
         >>> analysis.format_estimate(found, digits=2)
         '0.83 [0.23, 1.00]'
     """
-    data = to_float_array(flags)
-    n, value = data.size, float(np.mean(data))
-    if cluster is None:
-        return proportion(round(value * n), n)
-    place = np.unique(validate_cluster_ids(cluster, n), return_inverse=True)[1]
+    data = _to_floats(flags)
+    value, place = float(np.mean(data)), _cluster_places(cluster, data.size)
     runs = np.bincount(place)
-    if runs.size < 2:  # a draw or a record alone, be it of one run
-        return UNKNOWN._replace(value=value, n=n)
-    if runs.size == n:
-        return proportion(round(value * n), n)
-    draws = DrawCounts.from_runs(np.bincount(place, data), runs)
-    return Estimate(value, draws.lower_bound(TAIL), 1 - draws.complement().lower_bound(TAIL), n)
+    if runs.size < 2 and cluster is not None:  # a draw or a record alone, be it of one run
+        return UNKNOWN._replace(value=value, n=data.size)
+    if runs.size == data.size:
+        return proportion(round(value * data.size), data.size)
+    return Estimate(value, *share_bounds(np.bincount(place, data), runs, TAIL), data.size)
 
 
 def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
@@ -144,33 +173,21 @@ def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None
         >>> analysis.format_estimate(analysis.quantile(range(16), q=0.9), "s", 0)
         '14 [11, few draws] s'
     """
-    data = to_float_array(values, missing=math.inf)
-    n, at = data.size, quantile_index(data.size, q)
-    value = float(np.partition(data, at)[at])
-    draw = np.arange(n)
-    if cluster is not None:
-        draw = np.unique(validate_cluster_ids(cluster, n), return_inverse=True)[1]
-    draws = int(draw.max()) + 1
+    data = _to_floats(values, missing=math.inf)
+    n, at = data.size, _quantile_index(data.size, q)
+    value, place = float(np.partition(data, at)[at]), _cluster_places(cluster, n)
+    draws = int(place.max()) + 1
     if draws < 2 <= n:
         return UNKNOWN._replace(value=value, n=n)
     if draws < n:
-        return Estimate(value, *quantile_bounds(data, draw, q, TAIL), n)
+        return Estimate(value, *quantile_bounds(data, place, q, TAIL), n)
     low, high = _binomial_rank_bounds(n, q)
-    ends = np.partition(data, [max(low - 1, 0), min(high - 1, n - 1)])
-    return Estimate(
-        value,
-        float(ends[low - 1]) if low >= 1 else math.nan,
-        float(ends[high - 1]) if high <= n else math.nan,
-        n,
-    )
+    ends = [math.nan, *np.sort(data).tolist(), math.nan]
+    return Estimate(value, ends[low], ends[high], n)
 
 
-def quantile_index(n: int, q: float) -> int:
-    """Index of a quantile among n sorted values, as in numpy's method "inverted_cdf".
-
-    Raises:
-        ValueError: q out of range.
-    """
+def _quantile_index(n: int, q: float) -> int:
+    """Index of a quantile among n sorted values, as in numpy's method "inverted_cdf"."""
     if not 0 <= q <= 1:
         raise ValueError(f"a quantile needs 0 <= q <= 1, got {q}")
     rounding = 1 - 4 * np.finfo(float).eps  # of the product
@@ -184,6 +201,50 @@ def _binomial_rank_bounds(n: int, q: float) -> tuple[int, int]:
     return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
 
 
+# --- means and spreads --------------------------------------------------------------------------
+
+
+class _ClusteredMean(NamedTuple):
+    """The mean of clustered values.
+
+    Attributes:
+        mean: mean of the values.
+        standard_error: its standard error, NaN for one cluster.
+        n: number of clusters.
+        skewness: of the clusters' sums, with the usual correction for small samples; 0 for fewer
+            than three clusters.
+    """
+
+    mean: float
+    standard_error: float
+    n: int
+    skewness: float
+
+    @classmethod
+    def from_values(cls, values: NDArray, place: NDArray) -> "_ClusteredMean":
+        """Ratio estimate from the sums and sizes of the clusters (Cochran 1977, section 9A)."""
+        centre = float(np.mean(values))
+        sums = np.bincount(np.unique(place, return_inverse=True)[1], values - centre)
+        n, square = sums.size, float(np.sum(sums**2))
+        error = math.sqrt(square * n / (n - 1)) / values.size if n > 1 else math.nan
+        skewness = 0.0
+        if n > 2 and square > 0:
+            cubic = float(np.mean(sums**3)) / (square / n) ** 1.5
+            skewness = cubic * math.sqrt(n * (n - 1)) / (n - 2)
+        return cls(centre, error, n, skewness)
+
+    def reach(self) -> float:
+        """Upper 2.5 % quantile of Student's t for the clusters; NaN for one cluster."""
+        return float(special.stdtrit(self.n - 1, 1 - TAIL)) if self.n > 1 else math.nan
+
+    def skewness_corrected(self, score: float) -> float:
+        """The standardised error of the mean that Hall's transformation maps to a score."""
+        skew = self.skewness / math.sqrt(self.n)
+        if abs(skew) < _SYMMETRIC:
+            return score
+        return 3 / skew * (float(np.cbrt(1 + skew * (score - skew / 6))) - 1)
+
+
 def mean(
     values: ArrayLike,
     cluster: ArrayLike | None = None,
@@ -193,11 +254,9 @@ def mean(
     """The mean of the finite values with Student's t interval, wider if the values are skewed.
 
     Non-finite values are omitted; ``n`` is the number used. One value has no interval, none gives
-    :data:`UNKNOWN`. With clusters, the variance is that of a ratio estimate: sums over the clusters
-    by their sizes (Cochran 1977, Sampling techniques, section 9A).
-
-    Each end is the outer one of Student's interval and of Hall's, which corrects it for the
-    skewness of the values (Hall 1992, Journal of the Royal Statistical Society B 54, 221).
+    :data:`UNKNOWN`. Each end is the outer one of Student's interval and of Hall's, which corrects
+    it for the skewness of the values (Hall 1992, Journal of the Royal Statistical Society B 54,
+    221).
 
     Args:
         values: shape (m,), any unit.
@@ -211,15 +270,15 @@ def mean(
         >>> analysis.format_estimate(analysis.mean([1.0, 2.0, 3.0, 4.0]))
         '2.5 [0.4, 4.6]'
     """
-    data, cluster = _finite_values(values, cluster)
+    data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    clustered = ClusteredMean.from_values(data, cluster)
-    centre, reach = float(np.mean(data)), clustered.student_quantile(TAIL)
-    low = centre - max(reach, clustered.skewness_corrected(reach)) * clustered.standard_error
-    high = centre + max(reach, -clustered.skewness_corrected(-reach)) * clustered.standard_error
+    found = _ClusteredMean.from_values(data, place)
+    reach = found.reach()
+    low = found.mean - max(reach, found.skewness_corrected(reach)) * found.standard_error
+    high = found.mean + max(reach, -found.skewness_corrected(-reach)) * found.standard_error
     low, high = np.clip((low, high), *limits).tolist()
-    return Estimate(centre, low, high, data.size)
+    return Estimate(found.mean, low, high, data.size)
 
 
 def std(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
@@ -237,19 +296,15 @@ def std(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     Raises:
         ValueError: no values at all.
     """
-    data, cluster = _finite_values(values, cluster)
-    n = data.size
-    if n < 2:
-        return UNKNOWN._replace(n=n)
-    centred = data - np.mean(data)
-    clustered = ClusteredMean.from_values(centred**2, cluster)
-    of_mean = ClusteredMean.from_values(
-        data, cluster
-    )  # its variance is missing in that about the mean
+    data, place = _finite_values(values, cluster)
+    if data.size < 2:
+        return UNKNOWN._replace(n=data.size)
+    squares = (data - np.mean(data)) ** 2
+    of_mean = _ClusteredMean.from_values(data, place)
     value = float(np.std(data, ddof=1))
-    if of_mean.n > 1:
-        value = math.sqrt(np.mean(centred**2) + of_mean.standard_error**2)
-    return Estimate(value, *_root_interval(value, clustered), n)
+    if of_mean.n > 1:  # the variance of the mean is missing in that about the mean
+        value = math.sqrt(np.mean(squares) + of_mean.standard_error**2)
+    return Estimate(value, *_root_interval(value, squares, place), data.size)
 
 
 def rms(
@@ -267,17 +322,15 @@ def rms(
     Raises:
         ValueError: no values at all.
     """
-    data, cluster = _finite_values(values, cluster)
+    data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
     value = math.sqrt(np.mean(data**2))
-    low, high = np.minimum(
-        _root_interval(value, ClusteredMean.from_values(data**2, cluster)), max_magnitude
-    ).tolist()
-    return Estimate(value, low, high, data.size)
+    ends = np.minimum(_root_interval(value, data**2, place), max_magnitude)
+    return Estimate(value, float(ends[0]), float(ends[1]), data.size)
 
 
-def _root_interval(value: float, mean_square: ClusteredMean) -> tuple[float, float]:
+def _root_interval(value: float, squares: NDArray, place: NDArray) -> tuple[float, float]:
     """The ends of the interval of the root of a mean square.
 
     Student's t on a logarithmic scale, with Bonett's two corrections (2006, Computational
@@ -287,14 +340,15 @@ def _root_interval(value: float, mean_square: ClusteredMean) -> tuple[float, flo
     of a heavy-tailed distribution; `tests/analysis` requires that value for
     Student's t with 5 degrees of freedom.
     """
-    n = mean_square.n
-    if value == 0.0 and n > 1:
+    found = _ClusteredMean.from_values(squares, place)
+    if value == 0.0 and found.n > 1:
         return value, value
-    if n < _MIN_CLUSTERS:
+    if found.n < _MIN_CLUSTERS:
         return math.nan, math.nan
-    variance = n / (n - 2) * (mean_square.standard_error / mean_square.mean) ** 2
-    reach = mean_square.student_quantile(TAIL) * math.sqrt(variance) * (1 + variance)
-    return tuple(value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))  # type: ignore[return-value]
+    variance = found.n / (found.n - 2) * (found.standard_error / found.mean) ** 2
+    reach = found.reach() * math.sqrt(variance) * (1 + variance)
+    low, high = (value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))
+    return low, high
 
 
 def chi2_mean_band(degrees_of_freedom: int, n: int) -> tuple[float, float]:
@@ -316,46 +370,163 @@ def chi2_mean_band(degrees_of_freedom: int, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def to_float_array(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
-    """Values as float64, shape (n,), with NaN replaced.
+# --- paired differences -------------------------------------------------------------------------
+
+
+def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
+    """The mean of a - b over pairs on the same noise, with the interval of `mean`.
+
+    Pairs whose difference is not finite are omitted; ``n`` is the number used.
+
+    Args:
+        a: shape (n,), any unit.
+        b: shape (n,), the same draws in the same order.
+        cluster: shape (n,), cluster of each pair, as for `sinsjax.analysis.mean`.
 
     Raises:
-        ValueError: no values, or more than one dimension.
+        ValueError: shapes differ, or no pairs.
     """
+    first, second = _paired_arrays(a, b)
+    with np.errstate(invalid="ignore"):  # infinite minus infinite, omitted by mean
+        return mean(first - second, cluster)
+
+
+def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
+    """The quantile of a minus that of b, with a bootstrap interval over the pairs.
+
+    NaN counts as infinite as in `sinsjax.analysis.quantile`. Infinite minus finite is
+    infinite. Infinite minus infinite is NaN as a value and 0 as an end of the interval, since two
+    runs that never settle do not differ. Whole pairs are resampled, which preserves their common
+    noise.
+
+    Args:
+        a: shape (n,), any unit.
+        b: shape (n,), the same draws in the same order.
+        q: from 0 to 1.
+
+    Raises:
+        ValueError: shapes differ, no pairs, or q out of range.
+    """
+    pair = _paired_arrays(a, b, missing=math.inf)
+    at = _quantile_index(pair[0].size, q)
+
+    def difference(picks: NDArray) -> NDArray:
+        left, right = (np.partition(x[picks], at, axis=-1)[..., at] for x in pair)
+        same = left == right  # also where both are infinite
+        return np.where(same, 0.0, left - np.where(same, 0.0, right))
+
+    every = np.arange(pair[0].size)
+    never = all(math.isinf(np.partition(x, at)[at]) for x in pair)
+    value = math.nan if never else float(difference(every))
+    return Estimate(value, *bootstrap_interval(difference, every), every.size)
+
+
+def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
+    """The share of a minus that of b over pairs on the same noise, with Newcombe's interval.
+
+    It combines Wilson's intervals of the two shares, corrected for the correlation of the pairs
+    (Newcombe 1998, Statistics in Medicine 17, 2635, method 10). Unlike Student's t and Wald's
+    interval it has a width even if no pair differs, and stays within -1 and 1.
+
+    Args:
+        a: shape (n,), bool: whether a run has the property.
+        b: shape (n,), the same draws in the same order.
+
+    Raises:
+        ValueError: shapes differ, or no pairs.
+    """
+    first, second = (x.astype(bool) for x in _paired_arrays(a, b))
+    n = first.size
+    share_a, share_b = (_wilson_interval(int(np.count_nonzero(x)), n) for x in (first, second))
+    correlation = _paired_correlation(first, second)
+    difference = share_a.value - share_b.value
+
+    def half_width(x: float, y: float) -> float:
+        return math.sqrt(max(x * x - 2 * correlation * x * y + y * y, 0.0))
+
+    low = difference - half_width(share_a.value - share_a.low, share_b.high - share_b.value)
+    high = difference + half_width(share_a.high - share_a.value, share_b.value - share_b.low)
+    return Estimate(difference, low, high, n)
+
+
+def _wilson_interval(k: int, n: int) -> Estimate:
+    """The share k/n with Wilson's score interval."""
+    share, z = k / n, float(special.ndtri(1 - TAIL))
+    centre = (k + z * z / 2) / (n + z * z)
+    half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
+    # At 0 and 1 an end of the interval equals the share, apart from rounding.
+    return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
+
+
+def _paired_correlation(a: NDArray, b: NDArray) -> float:
+    """Pearson's phi of two paired shares, with Newcombe's continuity correction."""
+    n = a.size
+    both, only_a, only_b = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
+    none = n - both - only_a - only_b
+    scale = math.sqrt((both + only_a) * (only_b + none) * (both + only_b) * (only_a + none))
+    excess = both * none - only_a * only_b
+    if excess > 0:
+        excess = max(excess - n / 2, 0.0)
+    return excess / scale if scale else 0.0
+
+
+def bootstrap_interval(
+    statistic: Callable[[NDArray], NDArray], numbers: NDArray
+) -> tuple[float, float]:
+    """Percentile bootstrap interval of a statistic, the same at every call.
+
+    Args:
+        statistic: function of resampled numbers, shape (..., n), over their last axis.
+        numbers: shape (n,), such as those of the draws.
+
+    Returns:
+        Lower and upper end; NaN for fewer than two values.
+    """
+    random, n = np.random.default_rng(0), numbers.size
+    if n < 2:
+        return math.nan, math.nan
+    block = max(1, _BLOCK // n)
+    drawn = [
+        statistic(numbers[random.integers(0, n, (min(block, RESAMPLES - start), n))])
+        for start in range(0, RESAMPLES, block)
+    ]
+    # Order statistics: interpolation between infinite values would give NaN.
+    low, high = np.quantile(np.concatenate(drawn), [TAIL, 1 - TAIL], method="inverted_cdf")
+    return float(low), float(high)
+
+
+# --- values -------------------------------------------------------------------------------------
+
+
+def _to_floats(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
+    """Values as float64, shape (n,), with NaN replaced; there must be at least one."""
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or data.size == 0:
         raise ValueError(f"one or more values in one dimension are needed, got shape {data.shape}")
     return np.where(np.isnan(data), missing, data)
 
 
-def _finite_values(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray | None]:
-    """The finite values, with their clusters; there must be at least one value."""
-    data = to_float_array(values)
+def _cluster_places(cluster: ArrayLike | None, size: int) -> NDArray:
+    """The number of the cluster of each value, from 0, shape (size,)."""
+    if cluster is None:
+        return np.arange(size)
+    ids = np.asarray(cluster)
+    if ids.shape != (size,):
+        raise ValueError(f"{size} values need as many clusters, got {ids.size}")
+    return np.unique(ids, return_inverse=True)[1]
+
+
+def _finite_values(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArray, NDArray]:
+    """The finite values, with the numbers of their clusters."""
+    data = _to_floats(values)
     is_finite = np.isfinite(data)
-    return data[is_finite], None if cluster is None else validate_cluster_ids(cluster, data.size)[
-        is_finite
-    ]
+    return data[is_finite], _cluster_places(cluster, data.size)[is_finite]
 
 
-def bootstrap_interval(statistic: Callable[..., NDArray], *samples: NDArray) -> tuple[float, float]:
-    """Percentile bootstrap interval of a statistic, the same at every call.
-
-    Args:
-        statistic: function of arrays (..., n), one per sample, over their last axis.
-        samples: shape (n,) each, resampled together to preserve pairs.
-
-    Returns:
-        Lower and upper end; NaN for fewer than two values.
-    """
-    random = np.random.default_rng(SEED)
-    n = samples[0].size
-    if n < 2:
-        return math.nan, math.nan
-    block = max(1, _BLOCK // n)
-    drawn = []
-    for start in range(0, RESAMPLES, block):
-        pick = random.integers(0, n, (min(block, RESAMPLES - start), n))
-        drawn.append(statistic(*(sample[pick] for sample in samples)))
-    # Order statistics: interpolation between infinite values would give NaN.
-    low, high = np.quantile(np.concatenate(drawn), [TAIL, 1 - TAIL], method="inverted_cdf")
-    return float(low), float(high)
+def _paired_arrays(
+    a: ArrayLike, b: ArrayLike, *, missing: float = math.nan
+) -> tuple[NDArray, NDArray]:
+    first, second = _to_floats(a, missing=missing), _to_floats(b, missing=missing)
+    if first.shape != second.shape:
+        raise ValueError(f"pairs need equal lengths, got {first.size} and {second.size}")
+    return first, second

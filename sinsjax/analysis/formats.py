@@ -9,7 +9,11 @@ FEW_DRAWS = "few draws"
 
 
 def format_estimate(
-    estimate: Estimate, unit: str = "", digits: int = 1, infinite: str = "never"
+    estimate: Estimate,
+    unit: str = "",
+    digits: int = 1,
+    infinite: str = "never",
+    negative: str = "-never",
 ) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
@@ -20,11 +24,12 @@ def format_estimate(
         unit: unit, written after the interval.
         digits: decimals.
         infinite: words for infinite numbers.
+        negative: words for negative infinite numbers.
     """
-    words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": f"-{infinite}"}
+    words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": negative}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
-    if value == low == high == infinite:
+    if math.isinf(estimate.value) and value == low == high:
         return value
     interval = "" if low == high == FEW_DRAWS else f"[{low}, {high}] "
     return f"{'unknown' if math.isnan(estimate.value) else value} {interval}{unit}".rstrip()
@@ -52,30 +57,19 @@ def format_difference(
         digits: decimals.
         sides: names of the two sides, the minuend first.
     """
-    value, low, high = map(float, estimate[:3])
+    value, low, high, n = estimate
     if math.isnan(value):
-        return "neither settles" if estimate.n else "unknown"
-
-    def text(number: float) -> str:
-        if math.isinf(number):
-            return f"{sides[0] if number > 0 else sides[1]} never settles"
-        return "unknown" if math.isnan(number) else f"{number:.{digits}f}"
-
+        return "neither settles" if n else "unknown"
     if math.isinf(value) and {low, high} <= {value, 0.0}:  # an end is 0 if neither settles
-        return text(value)
-    return f"{text(value)} [{text(low)}, {text(high)}] {unit}".rstrip()
+        low = high = value
+    words = (f"{side} never settles" for side in sides)
+    return format_estimate(Estimate(value, low, high, n), unit, digits, *words)
 
 
 def format_heading_error(error_arcmin: Estimate) -> str:
     """A heading error without its unit, to a tenth where it is below 100 arcmin."""
     digits = 0 if error_arcmin.value >= 100 else 1
     return format_estimate(error_arcmin, digits=digits, infinite="no number")
-
-
-def format_degrees(*angles_deg: float) -> str:
-    """Return angles as a misalignment is printed: ``(5, 5, 30) deg``, or ``30 deg`` for one."""
-    text = ", ".join(f"{angle:g}" for angle in angles_deg)
-    return f"({text}) deg" if len(angles_deg) > 1 else f"{text} deg"
 
 
 def format_percent(share: Estimate) -> str:

@@ -1,4 +1,4 @@
-"""The runs of a table laid out over two of its keys."""
+"""Runs laid out over axes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -7,10 +7,57 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import encode_values, group_rows, numeric_column, require_column
+from sinsjax.analysis.tables import group_numbers, numeric_column
 from sinsjax.errors import InputError
 
-_PLACE = "place in the grid"
+
+class Grid(NamedTuple):
+    """Runs by the points of some axes, and by draw.
+
+    Attributes:
+        axes: the points of each axis, as values of its keys, by these keys.
+        table: one row per run.
+        rows: row of each run, shape (*axes, draws).
+    """
+
+    axes: dict[tuple[str, ...], list[tuple[Any, ...]]]
+    table: pa.Table
+    rows: NDArray
+
+    @classmethod
+    def from_table(cls, table: pa.Table, *axes: Sequence[str]) -> "Grid":
+        """Lay the runs of a table out over axes.
+
+        Args:
+            table: one row per run, ordered by draw within each variant.
+            axes: keys of each axis; runs that differ in other keys alone share a point.
+
+        Returns:
+            The grid; the points of each axis by first appearance.
+
+        Raises:
+            InputError: a key is missing, or the points do not have as many runs each.
+        """
+        numbers = [group_numbers(table, keys) for keys in axes]
+        points = {
+            tuple(keys): [
+                tuple(table[key][row].as_py() for key in keys)
+                for row in np.unique(number, return_index=True)[1].tolist()
+            ]
+            for keys, number in zip(axes, numbers, strict=True)
+        }
+        shape = tuple(map(len, points.values()))
+        place = np.ravel_multi_index(numbers, shape)
+        if np.ptp(np.bincount(place, minlength=np.prod(shape))):
+            raise InputError(
+                f"{', '.join(key for keys in axes for key in keys)}: the runs form no full grid of"
+                " these keys with equally many runs per cell (name the other varying keys in `by`)"
+            )
+        return cls(points, table, np.argsort(place, kind="stable").reshape(*shape, -1))
+
+    def column(self, name: str) -> NDArray:
+        """A column as numbers, shape (*axes, draws); null is NaN."""
+        return numeric_column(self.table, name)[self.rows]
 
 
 def median_over_draws(settle_s: NDArray) -> NDArray:
@@ -36,92 +83,31 @@ def held_out_choices(values: NDArray, choose_best: Callable[[NDArray], int]) -> 
 
 
 class Panel(NamedTuple):
-    """One point of the keys that are no axis of a map, and its rows.
-
-    Attributes:
-        point: the keys' values.
-        rows: the draws are outermost, and among the runs of a draw the first axis.
-        shape: of the map.
-    """
+    """One point of the keys that are no axis of a map, with the grid of its runs."""
 
     point: dict[str, Any]
-    rows: pa.Table
+    grid: Grid
     shape: tuple[int, ...]
+    rows: pa.Table
 
     def column_values(self, column: str) -> NDArray:
         """A column, (draws, rows, columns); null is NaN."""
-        return numeric_column(self.rows, column).reshape(-1, *self.shape)
-
-    def cell_outcomes(self, ok: str, settle: str, off_floor: NDArray) -> "CellOutcomes":
-        """Successes and settling times of each cell; off_floor as in `CellOutcomes`."""
-        return CellOutcomes(
-            self.column_values(ok) > 0,
-            off_floor,
-            np.nan_to_num(self.column_values(settle), nan=np.inf),
-        )
+        return np.moveaxis(self.grid.column(column), -1, 0)
 
 
 def split_into_panels(
     table: pa.Table, row_key: str, column_key: str, panel_keys: Sequence[str] = ()
 ) -> tuple[dict[str, tuple[Any, ...]], list[Panel]]:
-    """Lay the runs of a table out over two keys, a panel for each point of further keys.
-
-    Args:
-        table: one row per run, ordered by draw within each variant.
-        row_key: key of the rows of each panel.
-        column_key: key of its columns.
-        panel_keys: keys of the panels; runs that differ in other keys share a cell.
-
-    Returns:
-        The values of the two keys by first appearance, and the panels likewise.
-
-    Raises:
-        InputError: a key is missing, or the cells of a panel do not have as many runs each.
-    """
-    axes, places = {}, []
-    for key in (row_key, column_key):
-        places.append(encode_values(require_column(table, key)))
-        first = np.unique(places[-1], return_index=True)[1]
-        axes[key] = tuple(table[key].take(first).to_pylist())
-    shape = tuple(map(len, axes.values()))
-    place = np.ravel_multi_index(places, shape)
-    panels = []
-    for point, group in group_rows(table.append_column(_PLACE, pa.array(place)), panel_keys):
-        cell = numeric_column(group, _PLACE).astype(np.int64)
-        if np.ptp(np.bincount(cell, minlength=np.prod(shape))):
-            raise InputError(
-                f"{row_key}, {column_key}: the runs form no full grid of these keys with equally"
-                " many runs per cell (name the other varying keys in `by`)"
-            )
-        order = np.argsort(cell, kind="stable").reshape(np.prod(shape), -1)
-        panels.append(Panel(point, group.take(order.T.ravel()), shape))
+    """The axes of a grid over two keys, and its panels for each point of further keys."""
+    grid = Grid.from_table(table, panel_keys, (row_key,), (column_key,))
+    axes = {key: tuple(value for (value,) in grid.axes[key,]) for key in (row_key, column_key)}
+    panels = [
+        Panel(
+            dict(zip(panel_keys, point, strict=True)),
+            grid._replace(rows=rows),
+            rows.shape[:-1],
+            table.take(np.moveaxis(rows, -1, 0).ravel()),
+        )
+        for point, rows in zip(grid.axes[tuple(panel_keys)], grid.rows, strict=True)
+    ]
     return axes, panels
-
-
-class CellOutcomes(NamedTuple):
-    """The runs of each cell of a map.
-
-    Attributes:
-        ok: (draws, rows, columns) the successes.
-        off_floor: (draws, rows, columns) successes that end outside the band about the floor.
-        settle_s: (draws, rows, columns) settling times, infinite where a run never settled, s.
-    """
-
-    ok: NDArray
-    off_floor: NDArray
-    settle_s: NDArray
-
-    @property
-    def median_s(self) -> NDArray:
-        """Median settling time of each cell, (rows, columns), s; see `median_over_draws`."""
-        return median_over_draws(np.moveaxis(self.settle_s, 0, -1))
-
-    @property
-    def success_share(self) -> NDArray:
-        """Share of the runs of each cell that are ok, (rows, columns)."""
-        return np.asarray(self.ok.mean(axis=0))
-
-    @property
-    def not_converged(self) -> NDArray:
-        """Cells in which most of the runs that are ok are off their bias floor, (rows, columns)."""
-        return np.asarray(2 * self.off_floor.sum(axis=0) > self.ok.sum(axis=0))

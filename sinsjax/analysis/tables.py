@@ -105,17 +105,24 @@ def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, A
     Raises:
         InputError: a key column is missing.
     """
-    code = np.zeros(table.num_rows, dtype=np.int64)
+    number = group_numbers(table, by)
+    ordered = table.take(np.argsort(number, kind="stable"))
+    start = 0
+    for size in np.bincount(number).tolist():
+        rows = ordered.slice(start, size)
+        yield {name: rows[name][0].as_py() for name in by}, rows
+        start += size
+
+
+def group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
+    """The number of the group of each row, by first appearance, see `group_rows`; (rows,)."""
+    number = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
         # Renumbered after each key, so that the product of many keys cannot overflow.
-        code = code * (table.num_rows + 1) + encode_values(require_column(table, name))
-        code = np.unique(code, return_inverse=True)[1]
-    _, first, size = np.unique(code, return_index=True, return_counts=True)
-    ordered = table.take(np.argsort(code, kind="stable"))
-    start = np.cumsum(size) - size
-    for group in np.argsort(first):
-        rows = ordered.slice(start[group], size[group])
-        yield {name: rows[name][0].as_py() for name in by}, rows
+        number = number * (table.num_rows + 1) + encode_values(require_column(table, name))
+        _, first, number = np.unique(number, return_index=True, return_inverse=True)
+        number = np.argsort(np.argsort(first))[number]
+    return number
 
 
 def encode_values(column: pa.ChunkedArray) -> NDArray:

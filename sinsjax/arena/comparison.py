@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.differences import mean_difference, proportion_difference
+from sinsjax.analysis import Estimate, format_estimate, mean_difference, proportion_difference
 from sinsjax.analysis.estimates import TAIL
 from sinsjax.analysis.tables import numeric_column
+from sinsjax.arena.runs import conditions_of
 from sinsjax.messages import format_count
 from sinsjax.methods.registry import external_names
 from sinsjax.plots.labels import describe_point
@@ -71,10 +71,7 @@ class Comparison(NamedTuple):
         enough_draws: draws from which on the difference would be sure, by its scatter; None if
             the draws do not differ.
         draws: number of draws.
-        criterion: of success, in words.
-        rivals: variants of each method with its settings by point.
-        floor: mean bias floor of the program's runs that have one, arcmin; NaN if none has.
-        lucky: program and best method, if they end nearer to north than that.
+        rivals: variants of each method with its settings by condition.
     """
 
     name: str
@@ -85,10 +82,7 @@ class Comparison(NamedTuple):
     conditions: list[ConditionResult]
     enough_draws: int | None
     draws: int
-    criterion: str
     rivals: list[dict[tuple[Any, ...], int]]
-    floor: float
-    lucky: list[str]
 
     @property
     def is_sure(self) -> bool:
@@ -97,15 +91,6 @@ class Comparison(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The result in one line, and who is nearer to north than any method can know."""
-        if not self.lucky:
-            return self._result
-        verb = "is" if len(self.lucky) == 1 else "are"
-        where = f"nearer to north than the bias floor ({self.floor:.1f} arcmin), which is luck"
-        return f"{self._result}. {' and '.join(self.lucky)} {verb} {where}"
-
-    @property
-    def _result(self) -> str:
         """The result in one sentence."""
         all_, difference = self.overall, self.overall.difference
         verb = "does not differ for sure from"
@@ -140,22 +125,27 @@ def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Compar
         keys: swept keys that are conditions, see `runs.condition_keys`.
     """
     measures = success_measures(study)
-    error = np.abs(numeric_column(table, "phi_u_arcmin")).reshape(-1, study.n_variants)
+
+    def by_variant(column: str) -> NDArray:
+        return numeric_column(table, column).reshape(-1, study.n_variants)
+
+    error = np.abs(by_variant("phi_u_arcmin"))
     error = np.where(np.isnan(error), FAILED_ARCMIN, error)
-    ok = np.any([numeric_column(table, m.ok_column) > 0 for m in measures], axis=0)
-    ok = ok.reshape(error.shape)
-    nees = numeric_column(table, "nees").reshape(error.shape)
+    ok = np.any([by_variant(measure.ok_column) > 0 for measure in measures], axis=0)
     settings = [key for key in study.axis_keys if key not in (*keys, "case", "method")]
-    points, program, rivals = _arrange(study, name, keys, settings)
-    columns = np.array([program[point] for point in points])
-    chosen, rival = _choose_best(error, rivals)
+    program, rivals = _arrange(study, name, keys, settings)
+    points, columns = list(program), np.array(list(program.values()))
+    variants = np.array([[rival.get(point, -1) for point in points] for rival in rivals])
+    chosen, rival = _choose_best(error, variants)
     draws = np.arange(len(error))[:, None]
-    pairs = (error[:, columns], error[draws, rival]), (ok[:, columns], ok[draws, rival])
+    errors, oks = ((values[:, columns], values[draws, rival]) for values in (error, ok))
+    squares = by_variant("nees")[:, columns]
 
     def result(point: tuple[Any, ...] | None, places: slice) -> ConditionResult:
-        (ours, theirs), (won, lost) = ([a[:, places].ravel() for a in pair] for pair in pairs)
-        cluster = np.broadcast_to(draws, pairs[0][0][:, places].shape).ravel()
-        squares = nees[:, columns[places]].ravel()
+        ours, theirs = (values[:, places].ravel() for values in errors)
+        won, lost = (values[:, places].ravel() for values in oks)
+        cluster = np.broadcast_to(draws, errors[0][:, places].shape).ravel()
+        nees = squares[:, places].ravel()
         return ConditionResult(
             point,
             analysis.mean(ours, cluster, limits=(0.0, FAILED_ARCMIN)),
@@ -164,66 +154,35 @@ def compare(study: Study, table: pa.Table, name: str, keys: list[str]) -> Compar
             analysis.share(won, cluster),
             analysis.share(lost, cluster),
             proportion_difference(won, lost),
-            analysis.mean(squares, cluster) if np.isfinite(squares).any() else None,
+            analysis.mean(nees, cluster) if np.isfinite(nees).any() else None,
         )
 
-    overall, best = result(None, slice(None)), _describe_options(study, chosen.tolist(), settings)
-    floor = np.abs(numeric_column(table, "floor_arcmin")).reshape(error.shape)
-    floors = floor[:, columns], floor[draws, rival]
     conditions = [result(point, slice(i, i + 1)) for i, point in enumerate(points)]
-    differences = (pairs[0][0] - pairs[0][1]).mean(axis=1)
     return Comparison(
         name,
-        best,
+        _describe_options(study, chosen.tolist(), settings),
         len(rivals),
         keys,
-        overall,
+        result(None, slice(None)),
         conditions if len(points) > 1 else [],
-        _enough_draws(differences),
+        _enough_draws((errors[0] - errors[1]).mean(axis=1)),
         len(error),
-        " or ".join(measure.description for measure in measures),
-        [dict(zip(points, row.tolist(), strict=True)) for row in rivals if (row >= 0).all()],
-        analysis.mean(floors[0].ravel()).value,
-        [
-            who
-            for who, ends, there in zip((name, best), pairs[0], floors, strict=True)
-            if _is_nearer(ends, there)
-        ],
+        [found for found in rivals if found.keys() >= program.keys()],
     )
-
-
-def _is_nearer(error: NDArray, floor: NDArray) -> bool:
-    """Return whether errors are below the floors of their runs for sure, (draws, conditions).
-
-    Runs without a floor do not count.
-    """
-    draws = np.broadcast_to(np.arange(len(error))[:, None], error.shape).ravel()
-    return bool(mean_difference(error.ravel(), floor.ravel(), draws).high < 0)
 
 
 def _arrange(
     study: Study, name: str, keys: list[str], settings: list[str]
-) -> tuple[list[Any], dict[Any, int], NDArray]:
-    """Return the conditions, the variant of the program by condition, and those of its rivals.
-
-    Returns:
-        Points, variants by point, and (rivals, conditions) variants of each method with its
-        settings, -1 where it lacks a condition.
-    """
-    values = {key: study.values(key) for key in (*keys, *settings, "method")}
-    first = study.duplicate_of
-    program: dict[Any, int] = {}
+) -> tuple[dict[Any, int], list[dict[Any, int]]]:
+    """Return the variant of the program by condition, and those of each method with settings."""
+    points, first, methods = conditions_of(study, keys), study.duplicate_of, study.values("method")
+    options = conditions_of(study, ["method", *settings])
     rivals: dict[Any, dict[Any, int]] = {}
-    for variant in range(study.n_variants):
-        point = tuple(values[key][variant] for key in keys)
-        option = tuple(values[key][first[variant]] for key in ("method", *settings))
-        if option[0] == name:
-            program.setdefault(point, variant)
-        elif not external_names([option[0]]):
-            rivals.setdefault(option, {}).setdefault(point, variant)
-    points = list(program)
-    table = [[found.get(point, -1) for point in points] for found in rivals.values()]
-    return points, program, np.array(table)
+    for variant, point in enumerate(points):
+        option = (name,) if methods[variant] == name else options[first[variant]]
+        rivals.setdefault(option, {}).setdefault(point, variant)
+    program = rivals.pop((name,))
+    return program, [found for option, found in rivals.items() if not external_names(option[:1])]
 
 
 def _choose_best(error: NDArray, rivals: NDArray) -> tuple[NDArray, NDArray]:

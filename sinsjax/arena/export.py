@@ -7,22 +7,17 @@ A directory of an export has
     truth.parquet   true attitudes at record times, unless the export is blind
     study.toml      the study, from which `sinsjax score` makes the truth again
     README.txt      units, signs, the order of Euler angles, and the columns to return
-    export.json     the options, and size and SHA-256 of every file
+    export.json     the options, and size and SHA-256 of every file; written last
 
-An export whose export.json does not say "complete" is made again.
+An export without export.json is unfinished, and made again.
 """
 
 import hashlib
 import io
 import os
-import re
-import shutil
-from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -37,13 +32,12 @@ from sinsjax.arena.simulated_record import simulated_records
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path
-from sinsjax.execution.forecast import format_bytes
-from sinsjax.messages import format_count
+from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
 from sinsjax.records import write_csv, write_parquet
 from sinsjax.records.layout import RecordLayout
-from sinsjax.study.identity import fingerprint
+from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.load import load_study, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.types import Quat
@@ -53,73 +47,34 @@ INITIAL, TRUTH, README, MANIFEST = "initial.csv", "truth.parquet", "README.txt",
 SCORES = "scores"
 """Folder of the results that were scored."""
 
-FORMATS = ("psins", "csv", "parquet")
-QUANTITIES = ("increments", "rates")
+FORMATS = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
+"""Formats of records, and the suffixes of their files."""
+
+_CHOICES = {"format": FORMATS, "quantity": ("increments", "rates"), "frame": FRAMES}
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_STARTS = ("yaw_deg", "pitch_deg", "roll_deg", *_QUATERNION, "v_east_m_per_s", "v_north_m_per_s")
+"""Columns of the first solution, which runs without a start lack."""
 
 _SCHEMA = 1
-_SUFFIXES = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
-_RECORD = r"(set_\d+_)?draw_\d+\.(txt|csv|parquet)"
-_NUMBER_BYTES = {"psins": 22.0, "csv": 22.0, "parquet": 9.7}
-"""Bytes of a number in a record."""
 
 
-class Export(NamedTuple):
-    """An export that is ready to be written.
+class Form(NamedTuple):
+    """The form of an export.
 
     Attributes:
-        runs: of the program.
-        draws: the exported draws.
         format: "psins" (increments, blanks between columns, no names), "csv" or "parquet".
         quantity: "increments" (rad, m/s) or "rates" (rad/s, m/s^2, mean over each sample).
         frame: axes and signs, see `arena.frames`.
         blind: whether the truth is left out.
     """
 
-    runs: ProgramRuns
-    draws: range
-    format: str
-    quantity: str
-    frame: str
-    blind: bool
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Options by name, but for the draws."""
-        return {name: getattr(self, name) for name in ("format", "quantity", "frame", "blind")}
-
-    @property
-    def n_environments(self) -> int:
-        """Number of environments."""
-        return int(self.runs.environments.max()) + 1
-
-    @property
-    def n_records(self) -> int:
-        """Number of records."""
-        return self.n_environments * len(self.draws)
-
-    @property
-    def bytes(self) -> float:
-        """Expected size of the records."""
-        of_sample = 6 * _NUMBER_BYTES[self.format] + 8
-        return self.n_records * self.runs.samples * of_sample
-
-    @property
-    def text(self) -> str:
-        """Number of runs and records, and their size, in words."""
-        count = format_count(len(self.runs.points) * len(self.draws), "run")
-        records = format_count(self.n_records, "record")
-        return (
-            f"{self.runs.source.name}: {count} on {records} of {self.runs.samples:,} samples, about"
-            f" {format_bytes(self.bytes)}"
-        )
-
-    def record_name(self, environment: int, draw: int) -> str:
-        """Return the path of a record in the directory."""
-        number = f"set_{environment:03d}_" if self.n_environments > 1 else ""
-        return f"{RECORDS}/{number}draw_{draw:05d}{_SUFFIXES[self.format]}"
+    format: str = "csv"
+    quantity: str = "increments"
+    frame: str = "enu"
+    blind: bool = False
 
 
-def export_study(
+def export_study(  # noqa: PLR0913
     study: Study | str | Path,
     directory: str | Path,
     *,
@@ -129,25 +84,27 @@ def export_study(
     frame: str = "enu",
     blind: bool = False,
     overwrite: bool = False,
+    on_progress: ProgressCallback | None = None,
 ) -> Path:
     """Write the draws of a simulated study for a program outside sinsjax.
 
     Args:
         study: study, its file, or the name of a shipped study.
         directory: directory of the export.
-        draws: first draw and the one after the last; None for all.
+        draws: first draw and the one after the last, -1 for the study's last; None for all.
         format: "csv", "parquet", or "psins": text of increments ``wx wy wz vx vy vz t``.
         quantity: "increments" (rad, m/s), or "rates" (rad/s, m/s^2) as means over each sample.
         frame: "enu" (right-front-up, yaw counter-clockwise) or "ned" (front-right-down, clockwise).
         blind: whether to leave out the truth.
         overwrite: whether to replace an export.
+        on_progress: called with the number of written records.
 
     Returns:
         The directory.
 
     Raises:
-        InputError: the study has no draws to export, an option is wrong, the disk is too small, or
-            the directory cannot be used.
+        InputError: the study has no draws to export, an option is wrong, or the directory cannot be
+            used.
 
     Examples:
         >>> study = sinsjax.load_study("paper1_resets", {"study.draws": 2, "study.rate_hz": 10.0})
@@ -155,131 +112,106 @@ def export_study(
         >>> sorted(path.name for path in exported.iterdir() if path.suffix)
         ['README.txt', 'export.json', 'initial.csv', 'study.toml', 'truth.parquet']
     """
-    out = results_path(directory)
-    plan = plan_export(study, draws, format, quantity, frame, blind)
-    for _ in write_export(plan, out, overwrite=overwrite):
-        pass
-    return out
-
-
-def plan_export(
-    study: Study | str | Path,
-    draws: tuple[int, int] | None = None,
-    format: str = "csv",
-    quantity: str = "increments",
-    frame: str = "enu",
-    blind: bool = False,
-) -> Export:
-    """Check a study and the options of its export.
-
-    Args:
-        study: see `export_study`, as the other arguments.
-        draws: the one after the last may be -1 for the study's last.
-        format: of the records.
-        quantity: of the records.
-        frame: of records and attitudes.
-        blind: whether to leave out the truth.
-
-    Raises:
-        InputError: see `export_study`.
-    """
     runtime.ensure_configured()
-    study = load_study(study)
+    study, out, form = (
+        load_study(study),
+        results_path(directory),
+        Form(format, quantity, frame, blind),
+    )
     check_simulated(study)
-    for name, value, choices in (
-        ("format", format, FORMATS),
-        ("quantity", quantity, QUANTITIES),
-        ("frame", frame, FRAMES),
-    ):
-        if value not in choices:
-            raise InputError(f"{name}: {value!r} is not one of {', '.join(choices)}")
+    for option, choices in _CHOICES.items():
+        if (value := getattr(form, option)) not in choices:
+            raise InputError(f"{option}: {value!r} is not one of {', '.join(choices)}")
     if format == "psins" and (quantity, frame) != ("increments", "enu"):
-        other, value = ("frame", frame) if quantity == "increments" else ("quantity", quantity)
-        text = f"the psins format has increments of right-front-up axes (drop --{other}, or csv)"
-        raise InputError(f"{other}: {value!r}: {text}")
-    first, end = draws or (0, study.n_draws)
+        raise InputError("format: psins has increments of right-front-up axes only (give csv)")
+    first, end = draws or (0, -1)
     end = study.n_draws if end < 0 else end
     if not 0 <= first < end <= study.n_draws:
         text = f"must be A:B with 0 <= A < B <= {study.n_draws}, the draws of {study.name}"
         raise InputError(f"draws: {first}:{end}: {text}")
-    return Export(ProgramRuns(study), range(first, end), format, quantity, frame, blind)
-
-
-def write_export(plan: Export, directory: Path, *, overwrite: bool = False) -> Iterator[int]:
-    """Write a planned export, and yield the number of written records: first 0, once checked.
-
-    An export that is not written to its end is unfinished.
-
-    Raises:
-        InputError: see `export_study`.
-    """
-    check_directory(directory)
-    _check_target(directory, overwrite=overwrite)
-    folder = next(path for path in (directory, *directory.absolute().parents) if path.exists())
-    available = shutil.disk_usage(folder).free
-    if plan.bytes > available:
-        raise InputError(
-            f"{directory}: the records need about {format_bytes(plan.bytes)}, but the disk has only"
-            f" {format_bytes(available)} free (--format parquet is smaller, or --draws A:B)"
-        )
-    yield 0
-    lock = lock_directory(directory)
+    if study.drawn is None or study.drawn.sampling == "random":  # else fewer draws are others
+        study = with_draws(study, end)
+    runs = ProgramRuns(study, range(first, end))
+    initial = pa.table(initial_rows(runs, form))
+    contents = {
+        STUDY: study_to_toml(study).encode(),
+        README: describe_export(study.name, fingerprint(study), **form._asdict()).encode(),
+        INITIAL: _csv_bytes(initial),
+        **({} if blind else {TRUTH: _truth_parquet(runs, form)}),
+    }
+    _check_target(out, overwrite=overwrite)
+    lock = lock_directory(out)
     try:
-        _remove_export(directory)
-        _write_manifest(plan, directory, "running", {})  # to mark the files of a killed export
-        make_folder(directory / RECORDS)
-        study, files = plan.runs.source, dict[str, Any]()
-        contents = {
-            STUDY: study_to_toml(study).encode(),
-            README: describe_export(study.name, fingerprint(study), **plan.options).encode(),
-            INITIAL: _csv_bytes(pa.table(initial_rows(plan))),
-            **({} if plan.blind else {TRUTH: _truth_parquet(plan)}),
-        }
+        _remove_export(out)
+        make_folder(out / RECORDS)
         for name, content in contents.items():
-            with atomic_write(directory / name) as file:
-                file.write(content)
-            files[name] = _file_entry(directory / name)
-        for name in _write_records(plan, directory):
-            files[name] = _file_entry(directory / name)
-            yield len(files) - len(contents)
-        _write_manifest(plan, directory, "complete", files)
+            _write_file(out / name, content)
+        names = _write_records(runs, form, out, on_progress)
+        manifest = {
+            "schema": _SCHEMA,
+            "sinsjax": runtime.package_version(),
+            "study": study.name,
+            "digest": fingerprint(study),
+            **form._asdict(),
+            "draws": [first, end],
+            "state": "complete",
+            "files": {name: _file_entry(out / name) for name in (*contents, *names)},
+        }
+        _write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
     finally:
         lock.release()
+    return out
 
 
-def _write_records(plan: Export, directory: Path) -> Iterator[str]:
-    """Write the records, and yield their paths in the directory."""
-    layout, study = record_layout(plan), plan.runs.study
-    delimiter = " " if plan.format == "psins" else ","
-    for number in range(plan.n_environments):
-        batch = plan.runs.batch(plan.runs.part_of(number), plan.draws)
-        records = simulated_records(batch, study.rate_hz, study.name)
-        for draw, record in zip(plan.draws, records, strict=True):
-            name = plan.record_name(number, draw)
-            if plan.format == "parquet":
-                write_parquet(record, directory / name, layout)
+def _write_file(path: Path, content: bytes) -> None:
+    with atomic_write(path) as file:
+        file.write(content)
+
+
+def record_name(runs: ProgramRuns, form: Form, environment: int, draw: int) -> str:
+    """Return the path of a record in the directory."""
+    number = f"set_{environment:03d}_" if runs.environments.any() else ""
+    return f"{RECORDS}/{number}draw_{draw:05d}{FORMATS[form.format]}"
+
+
+def _write_records(
+    runs: ProgramRuns, form: Form, directory: Path, on_progress: ProgressCallback | None
+) -> list[str]:
+    """Write the records; return their paths in the directory."""
+    layout, study, names = record_layout(form), runs.study, list[str]()
+    n_environments = int(runs.environments.max()) + 1
+    for number in range(n_environments):
+        records = simulated_records(runs.batch(runs.part_of(number)), study.rate_hz, study.name)
+        for draw, record in zip(runs.draws, records, strict=True):
+            names.append(record_name(runs, form, number, draw))
+            if form.format == "parquet":
+                write_parquet(record, directory / names[-1], layout)
             else:
-                write_csv(record, directory / name, layout, delimiter=delimiter)
-            yield name
+                delimiter = " " if form.format == "psins" else ","
+                write_csv(record, directory / names[-1], layout, delimiter=delimiter)
+            if on_progress is not None:
+                total = n_environments * len(runs.draws)
+                on_progress(RunProgress(len(names), total, None, 0, "records"))
+    return names
 
 
-def record_layout(plan: Export) -> RecordLayout:
+def record_layout(form: Form) -> RecordLayout:
     """Return the layout of an export's records, with which sinsjax reads them."""
-    if plan.format == "psins":
+    if form.format == "psins":
         names = ("wx", "wy", "wz", "vx", "vy", "vz", "t")
         return RecordLayout(
             "csv", names, time_column="t", gyro_columns=names[:3], accel_columns=names[3:6]
         )
-    rates = plan.quantity == "rates"
+    rates = form.quantity == "rates"
     gyro_unit, accel_unit = ("rad_per_s", "m_per_s2") if rates else ("rad", "m_per_s")
     return RecordLayout(
-        plan.format,
+        form.format,
         time_column="time_s",
         gyro_columns=tuple(f"gyro_{axis}_{gyro_unit}" for axis in "xyz"),
         accel_columns=tuple(f"accel_{axis}_{accel_unit}" for axis in "xyz"),
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
-        axes_order=BODY_AXES[plan.frame],
+        axes_order=BODY_AXES[form.frame],
     )
 
 
@@ -290,17 +222,15 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
         InputError: it is no complete export, or one of its files has changed.
     """
     check_directory(directory)
-    manifest = _read_manifest(directory)
-    if manifest is None:
-        text = f"contains no export ({MANIFEST} is missing; `sinsjax export` writes one)"
-        raise InputError(f"{directory}: {text}")
     again = "(`sinsjax export --overwrite` makes it again)"
-    if manifest.get("state") != "complete":
-        raise InputError(f"{directory}: the export is unfinished {again}")
+    try:
+        manifest = sealed.read_sealed_json(directory / MANIFEST)
+    except FileNotFoundError:
+        raise InputError(f"{directory}: contains no export, or an unfinished one {again}") from None
+    if manifest.get("schema") != _SCHEMA or manifest.get("state") != "complete":
+        raise InputError(f"{directory}: is unfinished or of another version {again}")
     for name, entry in manifest["files"].items():
-        if name == README:
-            continue
-        found = _file_entry(directory / name)
+        found = _file_entry(directory / name) if name != README else entry
         if found != entry and (found or name in (STUDY, INITIAL)):  # records may be deleted
             raise InputError(f"{directory / name}: has changed since it was exported {again}")
     study = load_study(directory / STUDY)
@@ -310,44 +240,34 @@ def read_export(directory: Path) -> tuple[Study, dict[str, Any]]:
     return study, manifest
 
 
-def initial_rows(plan: Export) -> dict[str, NDArray]:
+def initial_rows(runs: ProgramRuns, form: Form) -> dict[str, NDArray]:
     """Return the columns of the initial solutions by name, one row per run, by run_id."""
-    runs, draws, frame = plan.runs, plan.draws, plan.frame
-    count, n_points = len(draws) * len(runs.points), len(runs.points)
-    starts = np.empty((count, 9))
+    starts: dict[str, NDArray] = {}
     for part in runs.parts:
-        found = jax.tree.leaves(given.find_starts(runs.batch(part, draws)))
-        starts[runs.places(part, draws, draws.start)] = np.stack(found, axis=-1)
-    *q, ve, vn, latitude, height, gravity = starts.T
-    has_start = np.tile(runs.has_start, len(draws))
-
-    def where_known(values: NDArray) -> NDArray:
-        return np.where(has_start, values + 0.0, np.nan)  # no -0
-
-    attitude = Quat(*q)
-    pitch, roll, yaw = to_angles(attitude, frame).T / DEG
-    quaternion = to_quaternion(attitude, frame)
-    draw, variant = np.repeat(list(draws), n_points), np.tile(runs.variants, len(draws))
-    environment = np.tile(runs.environments, len(draws))
-    names = zip(environment.tolist(), draw.tolist(), strict=True)
+        for name, column in given.find_starts(runs.batch(part)).items():
+            whole = starts.setdefault(name, np.empty(len(runs.run_id)))
+            whole[runs.places(part, runs.draws)] = column
+    attitude = Quat(*(starts[f"q_{axis}"] for axis in "wxyz"))
+    pitch, roll, yaw = to_angles(attitude, form.frame).T / DEG
+    starts |= {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+    starts |= dict(zip(_QUATERNION, to_quaternion(attitude, form.frame).T, strict=True))
+    known = np.tile(runs.has_start, len(runs.draws))
+    draw, variant = np.divmod(runs.run_id, runs.source.n_variants)
+    environment = np.tile(runs.environments, len(runs.draws)).tolist()
+    names = zip(environment, draw.tolist(), strict=True)
     return {
-        "run_id": draw * runs.source.n_variants + variant,
+        "run_id": runs.run_id,
         "draw_id": draw,
         "variant_id": variant,
-        "yaw_deg": where_known(yaw),
-        "pitch_deg": where_known(pitch),
-        "roll_deg": where_known(roll),
-        **{f"q_{axis}": where_known(quaternion[:, i]) for i, axis in enumerate("wxyz")},
-        "v_east_m_per_s": where_known(ve),
-        "v_north_m_per_s": where_known(vn),
-        "latitude_deg": latitude / DEG,
-        "height_m": height,
-        "gravity_m_per_s2": gravity,
-        "rate_hz": np.full(count, float(runs.source.rate_hz)),
-        "start_s": np.zeros(count),
-        "end_s": np.full(count, runs.end_s),
-        "file": np.array([plan.record_name(*name) for name in names]),
-        "study": np.full(count, fingerprint(runs.source)),
+        **{name: np.where(known, starts[name] + 0.0, np.nan) for name in _STARTS},  # no -0
+        "latitude_deg": starts["latitude"] / DEG,
+        "height_m": starts["height_m"],
+        "gravity_m_per_s2": starts["gravity_m_per_s2"],
+        "rate_hz": np.full(len(draw), float(runs.source.rate_hz)),
+        "start_s": np.zeros(len(draw)),
+        "end_s": np.full(len(draw), runs.end_s),
+        "file": np.array([record_name(runs, form, *name) for name in names]),
+        "study": np.full(len(draw), fingerprint(runs.source)),
     }
 
 
@@ -359,50 +279,24 @@ def _csv_bytes(table: pa.Table) -> bytes:
     return sink.getvalue()
 
 
-def _truth_parquet(plan: Export) -> bytes:
+def _truth_parquet(runs: ProgramRuns, form: Form) -> bytes:
     """Return the true attitudes at record times, one row per record and time."""
-    runs, sink, tables = plan.runs, pa.BufferOutputStream(), []
+    sink, tables = pa.BufferOutputStream(), []
     for number in range(runs.environments.max() + 1):
         part = runs.part_of(number)
-        truth = given.true_attitudes_at_records(runs.batch(part, plan.draws))
+        truth = given.true_attitudes_at_records(runs.batch(part))
         time_s = runs.study.update_times(runs.study.lengths.to_list()[part.ids[0]])
-        for place, draw in enumerate(plan.draws):
-            attitude = Quat(*(np.ascontiguousarray(a[:, place]) for a in truth))
-            pitch, roll, yaw = to_angles(attitude, plan.frame).T / DEG
-            columns = {
-                "file": [plan.record_name(number, draw)] * len(time_s),
-                "draw_id": np.full(len(time_s), draw),
-                "time_s": time_s,
-            }
-            angles = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
-            tables.append(pa.table(columns | angles))
+        names = [record_name(runs, form, number, draw) for draw in runs.draws]
+        pitch, roll, yaw = to_angles(Quat(*(a.T.ravel() for a in truth)), form.frame).T / DEG
+        columns = {
+            "file": np.repeat(names, len(time_s)),
+            "draw_id": np.repeat(runs.draws, len(time_s)),
+            "time_s": np.tile(time_s, len(names)),
+        }
+        angles = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+        tables.append(pa.table(columns | angles))
     pq.write_table(pa.concat_tables(tables), sink, compression="zstd")
     return sink.getvalue().to_pybytes()
-
-
-def _write_manifest(plan: Export, directory: Path, state: str, files: dict[str, Any]) -> None:
-    content = {
-        "schema": _SCHEMA,
-        "sinsjax": runtime.package_version(),
-        "study": plan.runs.source.name,
-        "digest": fingerprint(plan.runs.source),
-        **plan.options,
-        "draws": [plan.draws.start, plan.draws.stop],
-        "state": state,
-        "files": files,
-    }
-    with atomic_write(directory / MANIFEST) as file:
-        file.write(sealed.to_sealed_json(content))
-
-
-def _read_manifest(directory: Path) -> dict[str, Any] | None:
-    try:
-        manifest = sealed.read_sealed_json(directory / MANIFEST)
-    except FileNotFoundError:
-        return None
-    if manifest.get("schema") != _SCHEMA or not isinstance(manifest.get("files"), dict):
-        raise InputError(f"{directory / MANIFEST}: is of another version (export the study again)")
-    return manifest
 
 
 def _check_target(directory: Path, *, overwrite: bool) -> None:
@@ -411,25 +305,22 @@ def _check_target(directory: Path, *, overwrite: bool) -> None:
     Raises:
         InputError: names what it contains.
     """
-    names = sorted(os.listdir(directory)) if directory.exists() else []
-    if not (names := [name for name in names if not name.startswith(".")]):
-        return
-    is_export = {STUDY, README, INITIAL, TRUTH, MANIFEST, RECORDS, SCORES}.issuperset(names)
-    with suppress(InputError):
-        is_export = is_export or _read_manifest(directory) is not None
-    if not is_export:
+    check_directory(directory)
+    names = os.listdir(directory) if directory.exists() else []
+    names = sorted(name for name in names if not name.startswith("."))
+    ours = {STUDY, README, INITIAL, TRUTH, MANIFEST, RECORDS, SCORES}
+    if MANIFEST not in names and not ours.issuperset(names):
         text = f"contains {', '.join(names[:3])}, no export (give another directory)"
         raise InputError(f"{directory}: {text}")
-    if not overwrite:
+    if names and not overwrite:
         text = "already contains an export (give --overwrite to replace it)"
         raise InputError(f"{directory}: {text}")
 
 
 def _remove_export(directory: Path) -> None:
     """Remove the files of an export, and no others."""
-    records = (p for p in directory.glob(f"{RECORDS}/*") if re.fullmatch(_RECORD, p.name))
-    others = (directory / name for name in (STUDY, README, INITIAL, TRUTH, MANIFEST))
-    for path in (*records, *others):
+    records = directory.glob(f"{RECORDS}/*draw_[0-9][0-9][0-9][0-9][0-9].*")
+    for path in (*records, *(directory / n for n in (STUDY, README, INITIAL, TRUTH, MANIFEST))):
         path.unlink(missing_ok=True)
 
 

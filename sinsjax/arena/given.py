@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
@@ -47,26 +48,6 @@ def build_external(options: Options) -> Program:
     )
 
 
-class Start(NamedTuple):
-    """The first solution and the place of some runs; leaves (runs,).
-
-    Attributes:
-        attitude: misaligned, from b to n.
-        ve: velocity east, m/s.
-        vn: velocity north, m/s.
-        latitude: rad.
-        height: m.
-        gravity: m/s^2.
-    """
-
-    attitude: Quat
-    ve: Array
-    vn: Array
-    latitude: Array
-    height: Array
-    gravity: Array
-
-
 class GivenAttitudes(NamedTuple):
     """Attitudes of some runs at record times; leaves (records, runs).
 
@@ -83,8 +64,11 @@ class GivenAttitudes(NamedTuple):
     unknown_until: Array
 
 
-def find_starts(batch: Batch) -> Start:
-    """Return the starts of all runs of a batch, by draw and variant, leaves (draws * variants,)."""
+def find_starts(batch: Batch) -> dict[str, NDArray]:
+    """Return the first solutions and the places of all runs of a batch, by draw and variant.
+
+    Quaternions are misaligned, from b to n, velocities in m/s, and the latitude in rad.
+    """
     return jax.tree.map(np.asarray, _find_starts(batch.spec, batch.environment, _tile(batch)))
 
 
@@ -109,12 +93,20 @@ def _tile(batch: Batch) -> Tiles:
 
 
 @partial(jax.jit, static_argnums=0)
-def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Start:
+def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> dict[str, Array]:
     runs = set_up(spec, environment, tile)
     params, attitude = runs.params, runs.start().state.attitude
-    place = (runs.site.latitude, runs.site.earth.height, runs.site.place.gravity)
-    of_runs = (jnp.broadcast_to(number, params.ve.shape) for number in place)
-    return Start(attitude, params.ve, params.vn, *of_runs)
+    place = {
+        "latitude": runs.site.latitude,
+        "height_m": runs.site.earth.height,
+        "gravity_m_per_s2": runs.site.place.gravity,
+    }
+    return {
+        **{f"q_{axis}": part for axis, part in zip("wxyz", attitude, strict=True)},
+        "v_east_m_per_s": params.ve,
+        "v_north_m_per_s": params.vn,
+        **{name: jnp.broadcast_to(value, params.ve.shape) for name, value in place.items()},
+    }
 
 
 @partial(jax.jit, static_argnums=0)

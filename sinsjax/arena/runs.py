@@ -1,10 +1,11 @@
 """The runs of a program outside sinsjax: a study's variants as far as data and start differ.
 
-Variants that differ only in a method and its settings are one run for a program. A record belongs
-to a draw and to an environment: Earth, motion of the base, sensors.
+Variants that differ only in a method and its settings are one run for a program: they have the
+same condition. A record belongs to a draw and to an environment: Earth, motion of the base,
+sensors.
 """
 
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -33,101 +34,79 @@ class ProgramPart(NamedTuple):
     Attributes:
         number: number of the part in `ProgramRuns.scenario`.
         ids: (variants,) its variants in the study with the program.
-        point: (variants,) number of their conditions in `ProgramRuns.points`.
+        condition: (variants,) number of their conditions, some of which may be the same.
     """
 
     number: int
     ids: NDArray
-    point: NDArray
+    condition: NDArray
 
 
-@dataclass(frozen=True)
 class ProgramRuns:
-    """The runs of a program on a simulated study, by draw, then by conditions.
+    """The runs of a program on a simulated study, by draw, then by condition.
 
     Attributes:
         source: the study without the program.
+        study: the study with the program as a further method.
         name: of the program.
+        draws: the draws.
+        keys: swept keys whose values distinguish conditions.
+        conditions: the conditions, as values of them.
+        variants: (conditions,) the first variant of each in ``source``, ascending.
+        has_start: (conditions,) whether a run starts from a given attitude.
+        environments: (conditions,) number of the environment, each of which has its own records.
+        run_id: (runs,) their numbers in ``source``.
+        samples: number of samples of a record.
+        end_s: length of a run, s.
     """
 
-    source: Study
-    name: str = ANY_PROGRAM
-
-    @cached_property
-    def study(self) -> Study:
-        """The study with the program as a further method."""
-        return add_program(self.source, self.name)
+    def __init__(self, source: Study, draws: range, name: str = ANY_PROGRAM) -> None:
+        """Lay out the runs of a program; its name is refused as by `add_program`."""
+        self.source, self.name, self.draws = source, name, draws
+        self.study, self.keys = add_program(source, name), condition_keys(source)
+        of_variant = conditions_of(source, self.keys)
+        self.conditions = list(dict.fromkeys(of_variant))
+        number = _number(of_variant)
+        self.variants = np.unique(number, return_index=True)[1]
+        starting = number[~source.without_effect("phi_u0_deg")]
+        self.has_start = np.isin(np.arange(len(self.conditions)), starting)
+        kept = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
+        self.environments = _number(tuple(point[i] for i in kept) for point in self.conditions)
+        self.run_id = np.add.outer(np.array(draws) * source.n_variants, self.variants).ravel()
+        self.samples = source.records * source.record_every
+        self.end_s = self.samples / source.rate_hz
 
     @cached_property
     def scenario(self) -> Scenario:
-        """That study, ready for its runs to be judged."""
+        """The study with the program, ready for its runs to be judged."""
         require_floor(self.study)
         return Scenario(self.study, curves=False)
 
     @cached_property
-    def keys(self) -> list[str]:
-        """The keys whose values distinguish runs of the program."""
-        return condition_keys(self.source)
-
-    @cached_property
-    def points(self) -> list[tuple[Any, ...]]:
-        """The conditions of the runs: data and start, as values of `keys`."""
-        return list(dict.fromkeys(_points(self.source, self.keys)))
-
-    @cached_property
-    def variants(self) -> NDArray:
-        """(points,) The first variant with each conditions in the study without the program."""
-        values = _points(self.source, self.keys)
-        return np.array([values.index(point) for point in self.points])
-
-    @cached_property
-    def has_start(self) -> NDArray:
-        """(points,) Whether a run starts from a given attitude."""
-        starts, values = ~self.source.without_effect("phi_u0_deg"), _points(self.source, self.keys)
-        given = {point for point, starting in zip(values, starts, strict=True) if starting}
-        return np.array([point in given for point in self.points])
-
-    @cached_property
-    def environments(self) -> NDArray:
-        """(points,) Number of the environment, each of which has its own records."""
-        kept = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
-        values = [tuple(point[i] for i in kept) for point in self.points]
-        distinct = list(dict.fromkeys(values))
-        return np.array([distinct.index(value) for value in values])
-
-    @cached_property
     def parts(self) -> list[ProgramPart]:
-        """The parts of the program, some of which may have the same conditions."""
-        numbers = {point: number for number, point in enumerate(self.points)}
-        point = np.array([numbers.get(p, -1) for p in _points(self.study, self.keys)])
-        methods = self.study.values("method")
+        """The parts of the program."""
+        is_program = np.array(self.study.values("method")) == self.name
+        condition = np.full(len(is_program), -1)
+        points = conditions_of(self.study, self.keys)
+        condition[is_program] = _number(points[i] for i in np.flatnonzero(is_program))
         return [
-            ProgramPart(number, ids, point[ids])
+            ProgramPart(number, ids, condition[ids])
             for number, ids in enumerate(self.scenario.variant_ids)
-            if methods[ids[0]] == self.name
+            if is_program[ids[0]]
         ]
 
     def part_of(self, environment: int) -> ProgramPart:
         """Return a part in an environment."""
-        return next(part for part in self.parts if self.environments[part.point[0]] == environment)
+        return next(p for p in self.parts if self.environments[p.condition[0]] == environment)
 
-    def places(self, part: ProgramPart, draws: range, first: int) -> NDArray:
-        """Return the places of the runs of a batch among all runs of the draws from ``first``."""
-        return np.add.outer((np.array(draws) - first) * len(self.points), part.point).ravel()
+    def places(self, part: ProgramPart, draws: range) -> NDArray:
+        """Return the places of the runs of a batch, by draw and variant, among all runs."""
+        draw = np.array(draws) - self.draws.start
+        return np.add.outer(draw * len(self.conditions), part.condition).ravel()
 
-    def batch(self, part: ProgramPart, draws: range) -> Batch:
-        """Return the runs of a part."""
-        return self.scenario.batch(part.number, draws)
-
-    @property
-    def samples(self) -> int:
-        """Number of samples of a record."""
-        return self.study.records * self.study.record_every
-
-    @property
-    def end_s(self) -> float:
-        """Length of a run, s."""
-        return self.samples / self.study.rate_hz
+    def batch(self, part: ProgramPart, draws: range | None = None) -> Batch:
+        """Return the runs of a part, on all draws or some of them."""
+        return self.scenario.batch(part.number, draws or self.draws)
 
 
 def condition_keys(study: Study) -> list[str]:
@@ -136,11 +115,16 @@ def condition_keys(study: Study) -> list[str]:
     return [k for k in swept if k not in INITIAL_KEYS or not study.without_effect(k).all()]
 
 
-def _points(study: Study, keys: list[str]) -> list[tuple[Any, ...]]:
-    """Return the values of some keys, (variants,)."""
-    if not keys:
-        return [()] * study.n_variants
-    return list(zip(*(study.values(key) for key in keys), strict=True))
+def conditions_of(study: Study, keys: list[str]) -> list[tuple[Any, ...]]:
+    """Return the condition of each variant, as values of some keys."""
+    columns = [study.values(key) for key in keys]
+    return [tuple(column[i] for column in columns) for i in range(study.n_variants)]
+
+
+def _number(values: Iterable[Hashable]) -> NDArray:
+    """Return a number for each distinct value, by first appearance."""
+    numbers: dict[Hashable, int] = {}
+    return np.array([numbers.setdefault(value, len(numbers)) for value in values])
 
 
 def check_simulated(study: Study) -> None:
@@ -191,8 +175,7 @@ def _with_program(rows: list[TomlTable], name: str) -> list[TomlTable]:
     """Return rows of methods, and a row of the program for each distinct condition of them."""
     first: dict[Any, TomlTable] = {}
     for row in rows:
-        condition = tuple((key, row[key]) for key in row if is_condition_key(key))
-        first.setdefault(condition, row)
+        first.setdefault(tuple((k, row[k]) for k in row if is_condition_key(k)), row)
     more = []
     for row in first.values():
         label = name if len(first) == 1 else f"{name}, {row.get('case')}"

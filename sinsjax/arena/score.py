@@ -22,8 +22,7 @@ from sinsjax.arena.comparison import Comparison, compare
 from sinsjax.arena.export import SCORES, read_export
 from sinsjax.arena.frames import to_angles
 from sinsjax.arena.given import GivenAttitudes
-from sinsjax.arena.readme import RECORDS
-from sinsjax.arena.results_file import AskedRuns, GivenResults, read_results
+from sinsjax.arena.results_file import GivenResults, read_results
 from sinsjax.arena.runs import ProgramRuns
 from sinsjax.arena.suspicions import suspect
 from sinsjax.engine.batch import Chunk
@@ -53,9 +52,6 @@ _DIGEST = "exported_digest"
 
 _NAME = r"[^\W_][\w.+ -]{0,59}"
 """Names of programs: a letter or digit first."""
-
-_LARGE_SIGMAS = 20
-"""Ratio of sigmas to errors from which another unit is suspected; right units give 1 to 2."""
 
 
 class Score(NamedTuple):
@@ -128,86 +124,64 @@ def score_results(
         raise InputError(f"--name: {to_one_line(name)!r} {text}")
     study, manifest = read_export(directory)
     target = directory / SCORES / name if out is None else results_directory.results_path(out)
-    _check_target(target, directory, against, overwrite=overwrite)
-    draws = range(*manifest["draws"])
-    stored = None if against is None else _open_results(Path(against), study, manifest)
-    own = _first_draws(study if stored is None else stored.study, draws)
-    exported, runs = ProgramRuns(study), ProgramRuns(own, name)
+    if target.resolve() in {Path(path).resolve() for path in (directory, against) if path}:
+        raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
+    results_directory.check_unlocked(target)
+    resume.check_available(target, overwrite=True, resume=False)
+    if not overwrite and (target / results_directory.MANIFEST).exists():
+        raise InputError(f"{target}: already contains results (--overwrite replaces them)")
+    exported = ProgramRuns(study, range(*manifest["draws"]))
+    stored = None if against is None else _open_results(Path(against), exported)
+    own = with_draws(_without_stopping(stored.study if stored else study), study.n_draws)
+    runs = ProgramRuns(own, exported.draws, name)
     with_program = runs.study  # its name is refused before anything is read or run
-    assert runs.points == exported.points
-    times = exported.end_s, 1 / study.rate_hz
-    asked = AskedRuns(
-        manifest["digest"], manifest["frame"], draws, exported.variants, study.n_variants, *times
-    )
-    given = read_results(results, asked, frame)
+    given = read_results(Path(results), exported, manifest["frame"], frame)
     if stored is not None:
         own_rows = stored.summary
     else:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StudyWarning)  # the export is of the same study
             own_rows = run(own, curves=False, on_progress=on_progress).summary
-    table = _join(with_program, own, own_rows, draws, _judge(runs, draws, given))
+    table = _join(runs, own_rows, _judge(runs, given))
     comparison = compare(with_program, table, name, runs.keys)
     at_end = given.select(np.flatnonzero(given.time_s > runs.end_s - 0.5 / study.rate_hz))
-    missing = np.setdiff1d(np.arange(len(asked.run_id)), at_end.run)
-    missing_ids = asked.run_id[missing].tolist()
-    doubts = [
-        f"{name}: {line}"
-        for line in (
-            *_doubt_rows(given, missing_ids, asked),
-            *_doubt_numbers(with_program, table.filter(pc.equal(table["method"], name))),
-        )
-    ]
-    if reading := _suspect(runs, draws, at_end, table, comparison):
+    missing = np.delete(exported.run_id, at_end.run).tolist()
+    rows = table.filter(pc.equal(table["method"], name))
+    doubts = [f"{name}: {line}" for line in _doubts(runs, given, missing, rows)]
+    if reading := _suspect(runs, at_end, table, comparison):
         doubts.append(f"the attitudes of {name}: {reading}")
     job = Job(
         with_program,
         curves=False,
         directory=target,
         overwrite=overwrite,
-        manifest_state=resume.manifest_state(target),
         source=f"{study.name} with {Path(results).name}",
         warnings=tuple(doubts),
     )
-    write_table(job, table, draws, **{_DIGEST: manifest["digest"]})
-    return Score(target, with_program, comparison, missing_ids, doubts)
+    write_table(job, table, runs.draws, **{_DIGEST: manifest["digest"]})
+    return Score(target, with_program, comparison, missing, doubts)
 
 
-def _check_target(
-    target: Path, directory: Path, against: str | Path | None, *, overwrite: bool
-) -> None:
-    """Refuse a directory for the results that is in use.
-
-    Raises:
-        InputError: it is the export or the sweep, or already contains results.
-    """
-    used = [directory, directory / RECORDS, *([] if against is None else [Path(against)])]
-    if target.resolve() in [path.resolve() for path in used]:
-        raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
-    results_directory.check_unlocked(target)
-    resume.check_available(target, overwrite=True, resume=False)
-    if not overwrite and resume.manifest_state(target) is not None:
-        raise InputError(f"{target}: already contains results (--overwrite replaces them)")
-
-
-def _open_results(against: Path, study: Study, manifest: dict[str, Any]) -> Results:
+def _open_results(against: Path, exported: ProgramRuns) -> Results:
     """Return the results of a sweep of the exported study, or of it with other programs.
 
     Raises:
         InputError: they are of another study, or lack draws.
     """
-    source, study = Results.read(against), _without_stopping(study)
-    is_same = results_directory.read_manifest(against).get(_DIGEST) == manifest["digest"]
-    same_draws = with_draws(_without_stopping(source.study), study.n_draws)
-    if not is_same and fingerprint(same_draws) != fingerprint(study):
-        differing = "; ".join(describe_differences(study, same_draws, ("exported", "there")))
+    source, study = Results.read(against), _without_stopping(exported.source)
+    there = _without_stopping(source.study)
+    if study.drawn is None or study.drawn.sampling == "random":  # else fewer draws are others
+        there = with_draws(there, study.n_draws)
+    digest = results_directory.read_manifest(against).get(_DIGEST)
+    if digest != fingerprint(exported.source) and fingerprint(there) != fingerprint(study):
+        differing = "; ".join(describe_differences(study, there, ("exported", "there")))
         text = f"contains results of another study: {shorten(differing, 300)}"
         raise InputError(f"{against}: {text}")
-    first, end = manifest["draws"]
     draw, rows = np.unique(source.rows(["draw_id"])["draw_id"].to_numpy(), return_counts=True)
     whole = draw[rows == source.study.n_variants]
-    if not np.isin(np.arange(first, end), whole).all():
-        text = f"has {len(whole)} whole draws, {first}:{end} are exported"
+    if not np.isin(exported.draws, whole).all():
+        end = exported.draws.stop
+        text = f"has {len(whole)} whole draws, {exported.draws.start}:{end} are exported"
         raise InputError(f"{against}: {text} (`sinsjax sweep` with --draws {end}, --resume)")
     return source
 
@@ -216,30 +190,17 @@ def _without_stopping(study: Study) -> Study:
     return study.model_copy(update={"stop_when": None, "tune": None})
 
 
-def _first_draws(study: Study, draws: range) -> Study:
-    """Return a study without the draws after the exported ones, where they can be left out."""
-    study = _without_stopping(study)
-    nested = study.drawn is None or study.drawn.sampling == "random"
-    return with_draws(study, draws.stop) if nested and draws.stop < study.n_draws else study
-
-
-def _judge(runs: ProgramRuns, draws: range, given: GivenResults) -> pa.Table:
+def _judge(runs: ProgramRuns, given: GivenResults) -> pa.Table:
     """Return the rows of a program."""
     builder, tables, end_s = TableBuilder(runs.study), [], pa.scalar(runs.end_s)
     for part in runs.parts:
         block = max(1, _BLOCK_RECORDS // (runs.study.records * len(part.ids)))
-        for first in range(draws.start, draws.stop, block):
-            some = range(first, min(first + block, draws.stop))
-            run_places = runs.places(part, some, draws.start)
-            attitudes, final_only = _attitudes(runs.study, given, run_places)
-            variant = np.arange(len(part.ids))
-            chunk = Chunk(
-                np.repeat(list(some), len(variant)),
-                np.tile(variant, len(some)),
-                engine.judge(runs.batch(part, some), attitudes),
-                None,
-            )
-            table = builder.summary_table(chunk, part.ids)
+        for first in range(runs.draws.start, runs.draws.stop, block):
+            some = range(first, min(first + block, runs.draws.stop))
+            attitudes, final_only = _attitudes(runs, given, runs.places(part, some))
+            draw, variant = np.divmod(np.arange(len(some) * len(part.ids)), len(part.ids))
+            outcome = engine.judge(runs.batch(part, some), attitudes)
+            table = builder.summary_table(Chunk(first + draw, variant, outcome, None), part.ids)
             for name in (n for n in table.column_names if n.startswith("settle_")):
                 # All that is known of them is that they are settled at their end.
                 at_end = pa.array(final_only & table[name].is_valid().to_numpy())
@@ -250,7 +211,7 @@ def _judge(runs: ProgramRuns, draws: range, given: GivenResults) -> pa.Table:
 
 
 def _attitudes(
-    study: Study, given: GivenResults, run_places: NDArray
+    runs: ProgramRuns, given: GivenResults, places: NDArray
 ) -> tuple[GivenAttitudes, NDArray]:
     """Return the attitudes of some runs at record times, and which have only the last one.
 
@@ -258,30 +219,26 @@ def _attitudes(
     unless its last row is the only one.
 
     Args:
-        study: with the program.
+        runs: of the program.
         given: all results.
-        run_places: (runs,) places of the runs in the results; several may be the same.
+        places: (runs,) places of the runs in the results; several may be the same.
     """
+    study = runs.study
     interval_s = study.record_every / study.rate_hz
     record = np.round(given.time_s / interval_s).astype(int) - 1
     late_s = np.abs(given.time_s - (record + 1) * interval_s)
     used = (record >= 0) & (record < study.records) & (late_s < 0.5 / study.rate_hz)
-    row = np.full((study.records, max(given.run.max(initial=0), run_places.max()) + 1), -1)
+    row = np.full((study.records, len(runs.run_id)), len(used))  # beyond the last row: none
     row[record[used], given.run[used]] = np.flatnonzero(used)
-    row = row[:, run_places]
-    present = row >= 0
-
-    def spread(values: NDArray) -> NDArray:
-        padded = np.append(values, np.nan)  # for runs without a row
-        return np.where(present, padded[row], np.nan)
-
+    row = row[:, places]
+    present = row < len(used)
     first = np.where(present.any(axis=0), present.argmax(axis=0), 0)
     final_only = (present.sum(axis=0) == 1) & present[-1]
     unknown_until = np.where((first == 0) | final_only, 0.0, (first + 1) * interval_s)
-    attitude = Quat(*(spread(np.asarray(part)) for part in given.attitude))
-    covariance = AttitudeCovariance(*map(spread, _covariance(given)))
     present[-1] = True
-    return GivenAttitudes(present, attitude, covariance, unknown_until), final_only
+    parts = [np.append(part, np.nan)[row] for part in (*given.attitude, *_covariance(given))]
+    shown = GivenAttitudes(present, Quat(*parts[:4]), AttitudeCovariance(*parts[4:]), unknown_until)
+    return shown, final_only
 
 
 def _covariance(given: GivenResults) -> tuple[NDArray, ...]:
@@ -303,22 +260,12 @@ def _covariance(given: GivenResults) -> tuple[NDArray, ...]:
     )
 
 
-def _join(
-    study: Study, own: Study, own_rows: pa.Table, draws: range, program: pa.Table
-) -> pa.Table:
-    """Return the rows of all methods, by run_id.
-
-    Args:
-        study: with the program.
-        own: without it.
-        own_rows: summary of the study without it.
-        draws: the draws to return.
-        program: rows of the program.
-    """
-    keys = ["method", *own.axis_keys]
+def _join(runs: ProgramRuns, own_rows: pa.Table, program: pa.Table) -> pa.Table:
+    """Return the rows of a study's own methods and of a program, by run_id."""
+    study, own, keys = runs.study, runs.source, ["method", *runs.source.axis_keys]
     variants = {p: i for i, p in enumerate(zip(*map(study.values, keys), strict=True))}
     renumbered = np.array([variants[p] for p in zip(*map(own.values, keys), strict=True)])
-    rows = own_rows.filter(pc.is_in(own_rows["draw_id"], pa.array(list(draws), pa.int64())))
+    rows = own_rows.filter(pc.is_in(own_rows["draw_id"], pa.array(list(runs.draws), pa.int64())))
     schema, variant = summary_columns(study), renumbered[rows["variant_id"].to_numpy()]
     values: dict[str, Any] = {c.name: pa.nulls(len(rows), c.dtype) for c in schema}
     values |= {c: rows[c].combine_chunks() for c in rows.column_names if c in values}
@@ -328,30 +275,34 @@ def _join(
 
 
 def _suspect(
-    runs: ProgramRuns, draws: range, at_end: GivenResults, table: pa.Table, comparison: Comparison
+    runs: ProgramRuns, at_end: GivenResults, table: pa.Table, comparison: Comparison
 ) -> str | None:
     """Return another convention that the results seem to have."""
     if not len(at_end.run):
         return None
-    truth = np.empty((len(draws), len(runs.points), 4))
+    truth = np.empty((len(runs.run_id), 4))
     for part in runs.parts:
-        attitudes = engine.true_attitudes_at_records(runs.batch(part, draws))
-        truth[:, part.point] = np.stack([a[-1] for a in attitudes], axis=-1)[:, None]
+        attitudes = engine.true_attitudes_at_records(runs.batch(part))
+        last = np.stack([a[-1] for a in attitudes], axis=-1)  # of each draw
+        truth[runs.places(part, runs.draws)] = np.repeat(last, len(part.ids), axis=0)
     columns = [numeric_column(table, f"phi_{axis}_arcmin") for axis in "enu"]
-    phi = np.stack(columns, axis=-1).reshape(len(draws), -1, 3) * ARCMIN
-    rivals = [[rival[point] for point in runs.points] for rival in comparison.rivals]
-    references = [phi[:, variants].reshape(-1, 3)[at_end.run] for variants in rivals]
-    q_true = Quat(*truth.reshape(-1, 4)[at_end.run].T)
-    return suspect(at_end, q_true, np.array(references).reshape(len(rivals), -1, 3))
+    phi = np.stack(columns, axis=-1).reshape(len(runs.draws), -1, 3) * ARCMIN
+    references = [
+        phi[:, [rival[condition] for condition in runs.conditions]].reshape(-1, 3)[at_end.run]
+        for rival in comparison.rivals
+    ]
+    return suspect(at_end, Quat(*truth[at_end.run].T), references)
 
 
-def _doubt_rows(given: GivenResults, missing: list[int], asked: AskedRuns) -> Iterator[str]:
-    """Yield what the file lacks."""
-    count = len(asked.run_id)
+def _doubts(
+    runs: ProgramRuns, given: GivenResults, missing: list[int], rows: pa.Table
+) -> Iterator[str]:
+    """Yield what the file lacks, and runs that end too near to north to count."""
+    count = len(runs.run_id)
     if missing:
         ids = shorten(", ".join(map(str, missing)), 60)
         yield (
-            f"{len(missing):,} of {count:,} runs have no row at their end, {asked.end_s:.12g} s,"
+            f"{len(missing):,} of {count:,} runs have no row at their end, {runs.end_s:.12g} s,"
             f" and count as failures: run_id {ids}"
         )
     if single := int((np.bincount(given.run, minlength=count) == 1).sum()):
@@ -362,19 +313,7 @@ def _doubt_rows(given: GivenResults, missing: list[int], asked: AskedRuns) -> It
     has_sigma = np.isfinite(given.sigma).any(axis=0)
     if has_sigma.any() and not has_sigma.all():
         yield "no NEES, which needs sigma_yaw_deg, sigma_pitch_deg and sigma_roll_deg"
-
-
-def _doubt_numbers(study: Study, rows: pa.Table) -> Iterator[str]:
-    """Yield sigmas in another unit, and runs that end too near to north to count.
-
-    Sigmas far below the errors may be right: filters know nothing of the biases behind most errors.
-    """
-    error, sigma = (np.abs(numeric_column(rows, f"{c}_u_arcmin")) for c in ("phi", "sigma"))
-    ratios = sigma[error != 0] / error[error != 0]
-    ratio = np.median(ratios[np.isfinite(ratios)]) if np.isfinite(ratios).any() else 0.0
-    if ratio >= _LARGE_SIGMAS:
-        yield f"its sigmas of the heading are {ratio:.2g} times its errors: are they in arcmin?"
-    criteria = success_criteria(study)
+    criteria = success_criteria(runs.study)
     error, floor = (np.abs(numeric_column(rows, column)) for column in FLOOR_COLUMNS)
     better = int((error < floor - criteria.band_arcmin).sum())
     if better and not criteria.from_truth:

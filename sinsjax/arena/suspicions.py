@@ -1,9 +1,9 @@
 """Conventions that results seem to have, if another reading explains them much better.
 
-The results are read again with the yaw mirrored or turned by quarter turns, in radians, with pitch
-and roll exchanged or reversed, and quaternions inverted or with their scalar last. Each reading is
-compared with the truth and with the methods of sinsjax on the same draws: their errors are mostly
-those of the same noise and biases, so that even the sign of a small error shows.
+The results are read again with the yaw mirrored or turned by quarter turns, in radians, and with
+quaternions inverted or with their scalar last. Each reading is compared with the truth and with the
+methods of sinsjax on the same draws: their errors are mostly those of the same noise and biases, so
+that even the sign of a small error shows.
 """
 
 from collections.abc import Iterator
@@ -36,26 +36,24 @@ _YAWS = {
 }
 """Signs of yaw, and turns, deg."""
 
-_LEVELS = {
-    "": ((0, 1), (1, 1)),
-    "are pitch and roll exchanged": ((1, 0), (1, 1)),
-    "has pitch the opposite sign": ((0, 1), (-1, 1)),
-    "has roll the opposite sign": ((0, 1), (1, -1)),
-    "have pitch and roll the opposite sign": ((0, 1), (-1, -1)),
+_QUATERNIONS = {
+    "is the scalar of the quaternions last": ([3, 0, 1, 2], 1),
+    "are the quaternions from navigation to body axes": ([0, 1, 2, 3], -1),
+    "is the scalar of the quaternions, from navigation to body axes, last": ([3, 0, 1, 2], -1),
 }
-"""Orders of pitch and roll, and their signs."""
+"""Orders of quaternions, and the sign of their vectors."""
 
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        references: (methods, runs, 3) misalignment of methods of sinsjax at the end of the same
-            runs, rad; NaN for runs that failed.
+        references: (runs, 3) misalignment of methods of sinsjax at the end of the same runs, rad;
+            NaN for runs that failed.
     """
     phi = np.stack(_misalignments(q_true, given.attitude), axis=-1)
     others = [(words, np.stack(_misalignments(q_true, q), axis=-1)) for words, q in _read(given)]
@@ -85,26 +83,15 @@ def _distance(phi: NDArray, anchor: NDArray) -> float:
 
 def _read(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
     """Yield other readings of results: what they suppose, in words, and attitudes."""
-    frame, angles, units = (
-        given.frame,
-        given.values,
-        {"": 1.0, "are the angles in radians": 1 / DEG},
-    )
+    angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
     if given.has_quaternions:
-        angles, units = to_angles(given.attitude, frame), {"": 1.0}
-        inverse, text = (
-            np.array([1, -1, -1, -1]),
-            "are the quaternions from navigation to body axes",
-        )
-        last, scalar = np.roll(given.values, 1, axis=-1), "is the scalar of the quaternions last"
-        yield (text,), from_quaternion(given.values * inverse, frame)
-        yield (scalar,), from_quaternion(last, frame)
-        yield (scalar, text), from_quaternion(last * inverse, frame)
-    for (unit, factor), (yaw, (sign, turn)), (level, (order, signs)) in product(
-        units.items(), _YAWS.items(), _LEVELS.items()
-    ):
-        if words := tuple(filter(None, (unit, yaw, level))):
-            pitch, roll = (sign_ * angles[:, i] for i, sign_ in zip(order, signs, strict=True))
-            heading = sign * (factor * angles[:, 2] - turn * DEG)
-            changed = np.stack([factor * pitch, factor * roll, heading], axis=-1)
-            yield words, from_angles(changed, frame)
+        for text, (order, sign) in _QUATERNIONS.items():
+            values = given.values[:, order] * [1, sign, sign, sign]
+            yield (text,), from_quaternion(values, given.frame)
+    else:
+        angles, units = given.values, units | {"are the angles in radians": 1 / DEG}
+    for (unit, factor), (yaw, (sign, turn)) in product(units.items(), _YAWS.items()):
+        if words := tuple(filter(None, (unit, yaw))):
+            changed = factor * angles
+            changed[:, 2] = sign * (changed[:, 2] - turn * DEG)
+            yield words, from_angles(changed, given.frame)

@@ -61,7 +61,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,11 +75,7 @@ from sinsjax.strapdown.sensors import SensorErrors
 GYRO, ACCEL = 0, 1
 
 NOISE_SOURCES = ("gyro_noise", "accel_noise")
-CONSTANT_SOURCES = (
-    *("gyro_bias", "accel_bias"),
-    *("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment"),
-)
-"""Sources of errors beside the `IncrementErrors`, in the order of `heading_budget`."""
+"""Sources of white noise."""
 
 LONGEST_STEP_S = 0.5
 """Shorter steps lower a bound by 0.02 % at most, and by 0.3 % at 60 deg/s if the cross-axis errors
@@ -89,8 +85,8 @@ MOTION_NODES = 8
 """Points per step at which the motion is read, by the midpoint rule."""
 
 _CHUNK = 500  # steps whose matrices are in memory
-_LEVEL, _PHI = slice(0, 2), slice(2, 5)
-_HEADING = 2  # among phi, and among theta
+LEVEL, PHI = slice(0, 2), slice(2, 5)
+HEADING = 2  # among phi, and among theta
 _IN_N = np.diag([1.0, 1.0, 0.0, 0.0, 0.0])[:, :3]  # effect of a velocity along n on u and phi
 
 
@@ -224,130 +220,79 @@ def heading_bound(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarr
     Returns:
         (times,); infinite while the heading is not observable.
     """
-    return np.sqrt(_heading_variances(times_s, problem).total[:, 0])
-
-
-def heading_budget(times_s: Sequence[float], problem: HeadingProblem) -> dict[str, np.ndarray]:
-    """Return what each source of errors adds to the variance of the bound.
-
-    The estimator of least variance is linear in the data and best for the sum of all sources, so
-    to first order a change of one source changes that sum as if the estimator stayed as it is: the
-    share of a source is the derivative of the variance by the logarithm of its own variance.
-    The shares add up to the variance.
-
-    Args:
-        times_s: see `heading_bound`; the heading is observable at all of them.
-        problem: base and sensors.
-
-    Returns:
-        (times,) rad^2, of `NOISE_SOURCES`, the `increment_errors`, and `CONSTANT_SOURCES`.
-    """
-    total, constant = _heading_variances(times_s, problem, small := 1e-3)
-    noise = (total[:, 1:] - total[:, :1]) / small
-    biases = constant[:, :6].reshape(-1, 2, 3).sum(axis=2)
-    matrices = constant[:, 6:].reshape(-1, 2, 3, 3)
-    scale = np.trace(matrices, axis1=2, axis2=3)
-    cross = matrices.sum(axis=(2, 3)) - scale
-    parts = np.concatenate([noise, biases, np.stack([scale, cross], 2).reshape(-1, 4)], axis=1)
-    parts *= (total[:, 0] / parts.sum(axis=1))[:, None]
-    names = (*NOISE_SOURCES, *problem.increment_errors(problem.dt), *CONSTANT_SOURCES)
-    return dict(zip(names, parts.T, strict=True))
-
-
-class _HeadingVariances(NamedTuple):
-    """Variances of phi_u, rad^2.
-
-    Attributes:
-        total: (times, cases), as it is and with the noise of each source in turn changed.
-        constant: (times, 24) what the constant errors add as it is.
-    """
-
-    total: np.ndarray
-    constant: np.ndarray
-
-
-def _heading_variances(
-    times_s: Sequence[float], problem: HeadingProblem, change: float | None = None
-) -> _HeadingVariances:
-    """Return the variances, and those with a relative change of each noise's own variance."""
-    samples = [round(time / problem.dt) for time in times_s]
-    longest = problem.dt if problem.still else problem.longest_step_s
-    per_step = _samples_per_step(math.gcd(*samples), longest / problem.dt)
-    step = per_step * problem.dt
-    processes = _stack(tuple(problem.increment_errors(step).values()))
-    white = len(NOISE_SOURCES)
-    scales = np.ones((1, white + len(processes.errors)))
-    if change is not None:
-        scales = np.concatenate([scales, 1 + change * np.eye(scales.size)])
+    grid = StepGrid.of_times(times_s, problem)
+    processes = stack_processes(tuple(problem.increment_errors(grid.step).values()))
     sigmas = problem.constant_sigmas
     unknown = sigmas > 0
-    prior = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
-    information = np.broadcast_to(prior, (len(scales), *prior.shape))
-    begin = np.tensordot(scales[:, white:], processes.begin, 1)
-    p = np.pad(begin, ((0, 0), (3, 0), (3, 0)))
-    response = np.zeros((*p.shape[:2], len(prior)))
-    response[:, :3, :3] = np.eye(3)
-    steps = _iter_steps(samples[-1] // per_step, step, problem, processes, scales, unknown)
-    done, totals, constants = 0, [], np.zeros((len(samples), len(sigmas)))
-    for time, count in enumerate(samples):
-        rows = [np.zeros((len(scales), 0, len(prior)))]
-        for f, g, noise in itertools.islice(steps, count // per_step - done):
-            p = f @ p @ f.T + noise
-            response = f @ response
-            if g.size:
-                response[:, :5, 3:] += g
-            root = _inverse_root(p[:, _LEVEL, _LEVEL])
-            gain = p[:, 2:, _LEVEL] @ root.transpose(0, 2, 1)
-            rows.append(root @ response[:, _LEVEL])
-            response = response[:, 2:] - gain @ rows[-1]
-            p = p[:, 2:, 2:] - gain @ gain.transpose(0, 2, 1)
-        whitened = np.concatenate(rows, axis=1)
-        information = information + whitened.transpose(0, 2, 1) @ whitened
-        done = count // per_step
+    information = np.diag(np.concatenate([np.zeros(3), 1 / np.square(sigmas[unknown])]))
+    p = np.pad(processes.begin.sum(axis=0), ((3, 0), (3, 0)))
+    response = np.eye(len(p), len(information))
+    response[3:] = 0.0
+    steps, done, variances = iter_steps(grid, problem, processes), 0, []
+    for end in grid.ends:
+        rows = [np.zeros((0, len(information)))]
+        for one in itertools.islice(steps, end - done):
+            p = one.transition @ p @ one.transition.T + one.noise()
+            response = one.transition @ response
+            response[:5, 3:] += one.constant[:, unknown]
+            root = inverse_root(p[LEVEL, LEVEL])
+            gain = p[2:, LEVEL] @ root.T
+            rows.append(root @ response[LEVEL])
+            response = response[2:] - gain @ rows[-1]
+            p = p[2:, 2:] - gain @ gain.T
+        whitened = np.concatenate(rows)
+        information = information + whitened.T @ whitened
+        done = end
         if problem.still:
-            known, sought = np.zeros(len(scales)), np.eye(1, len(prior), _HEADING)
+            variances.append(_variance(np.eye(len(information))[HEADING], information))
         else:
-            known, sought = p[:, _HEADING, _HEADING], response[:, _HEADING]
-        sought = np.broadcast_to(sought, (len(scales), len(prior)))
-        cases = [_estimate(*case) for case in zip(sought, information, strict=True)]
-        totals.append(known + [case.variance for case in cases])
-        constants[time, unknown] = np.square(cases[0].weights[3:] / sigmas[unknown])
-    return _HeadingVariances(np.array(totals), constants)
+            variances.append(p[HEADING, HEADING] + _variance(response[HEADING], information))
+    return np.sqrt(variances)
 
 
-class _Estimate(NamedTuple):
-    """Variance R J^-1 R' of R theta, and the weights J^-1 R'; infinite if it is unobservable."""
-
-    variance: float
-    weights: np.ndarray
-
-
-def _estimate(sought: np.ndarray, information: np.ndarray) -> _Estimate:
-    """Return what the data tell of a sum R theta of the unknowns."""
-    unobservable = _Estimate(np.inf, np.full(len(information), np.inf))
+def _variance(sought: np.ndarray, information: np.ndarray) -> float:
+    """Return the variance R J^-1 R' of a sum R theta of the unknowns; infinite if unobservable."""
     scale = np.sqrt(np.diag(information))
     if not scale.all():
-        return unobservable
+        return np.inf
     # Scaled, since tilts are known a thousand times better than the heading.
     try:
         root = np.linalg.cholesky(information / np.outer(scale, scale))
     except np.linalg.LinAlgError:
-        return unobservable
+        return np.inf
     part = np.linalg.solve(root, sought / scale)
-    return _Estimate(float(part @ part), np.linalg.solve(root.T, part) / scale)
+    return float(part @ part)
 
 
-def _inverse_root(s: np.ndarray) -> np.ndarray:
-    """Return the inverses of the Cholesky factors of matrices (cases, 2, 2).
+def inverse_root(s: np.ndarray) -> np.ndarray:
+    """Return the inverse of the Cholesky factor of a matrix (2, 2).
 
     LAPACK spends longer on its checks of each call than on matrices of this size.
     """
-    first = np.sqrt(s[:, 0, 0])
-    below = s[:, 1, 0] / first
-    second = np.sqrt(s[:, 1, 1] - below * below)
-    out = np.zeros(s.shape)
-    out[:, 0, 0], out[:, 1, 0], out[:, 1, 1] = 1 / first, -below / (first * second), 1 / second
-    return out
+    first = math.sqrt(s[0, 0])
+    below = s[1, 0] / first
+    second = math.sqrt(s[1, 1] - below * below)
+    return np.array([[1 / first, 0.0], [-below / (first * second), 1 / second]])
+
+
+class StepGrid(NamedTuple):
+    """Steps of one length, which some lengths of data are whole numbers of.
+
+    Attributes:
+        step: length of a step, s.
+        ends: number of steps of each length of data.
+    """
+
+    step: float
+    ends: list[int]
+
+    @classmethod
+    def of_times(cls, times_s: Sequence[float], problem: HeadingProblem) -> "StepGrid":
+        """Return the longest steps that the problem allows, of whole samples."""
+        samples = [round(time / problem.dt) for time in times_s]
+        longest = problem.dt if problem.still else problem.longest_step_s
+        per_step = _samples_per_step(math.gcd(*samples), longest / problem.dt)
+        return cls(per_step * problem.dt, [count // per_step for count in samples])
 
 
 def _samples_per_step(samples: int, longest: float) -> int:
@@ -356,7 +301,7 @@ def _samples_per_step(samples: int, longest: float) -> int:
     return next(count for count in range(min(most, samples), 0, -1) if samples % count == 0)
 
 
-class _Processes(NamedTuple):
+class Processes(NamedTuple):
     """Coloured errors as one system x <- A x + b w, y = c x + d w, whose states are stacked.
 
     Attributes:
@@ -365,6 +310,7 @@ class _Processes(NamedTuple):
         output: (sources, 3, n) c.
         drive: (sources, n, 3) b.
         begin: (sources, n, n) covariance of x before the first step.
+        owner: (n,) number of the source whose state each is.
     """
 
     errors: Sequence[IncrementError]
@@ -372,13 +318,20 @@ class _Processes(NamedTuple):
     output: np.ndarray
     drive: np.ndarray
     begin: np.ndarray
+    owner: np.ndarray
 
 
-def _stack(errors: Sequence[IncrementError]) -> _Processes:
+def stack_processes(errors: Sequence[IncrementError]) -> Processes:
     """Return the processes of three axes each, one after the other."""
     count, n = len(errors), sum(3 * len(error.process.drive) for error in errors)
-    shapes = (n, n), (count, 3, n), (count, n, 3), (count, n, n)
-    out = _Processes(errors, *map(np.zeros, shapes))
+    out = Processes(
+        errors,
+        transition=np.zeros((n, n)),
+        output=np.zeros((count, 3, n)),
+        drive=np.zeros((count, n, 3)),
+        begin=np.zeros((count, n, n)),
+        owner=np.zeros(n, int),
+    )
     axes, at = np.eye(3), 0
     for source, (process, *_) in enumerate(errors):
         own = slice(at, at + 3 * len(process.drive))
@@ -387,43 +340,46 @@ def _stack(errors: Sequence[IncrementError]) -> _Processes:
         out.drive[source, own] = np.kron(axes, process.drive[:, None])
         begin = np.kron(axes, process.begin)
         out.begin[source, own, own] = begin @ begin.T
+        out.owner[own] = source
         at = own.stop
     return out
 
 
-class _Steps(NamedTuple):
+class Steps(NamedTuple):
     """x <- F x + G c + noise over steps, for u, phi and the states of the processes.
 
     Attributes:
         transition: (steps, n, n - 2) F, without the columns of u, which is known.
         constant: (steps, 5, 24) G of the constant errors, see `HeadingProblem.constant_sigmas`.
-        noise: (steps, sources, n, n) covariance of the noise of each source.
+        white: (steps, sources, 5, 5) covariance of the noise of each of `NOISE_SOURCES`.
+        driven: (steps, n, sources, 3) factors of the noise of each process.
     """
 
     transition: np.ndarray
     constant: np.ndarray
-    noise: np.ndarray
+    white: np.ndarray
+    driven: np.ndarray
+
+    def noise(self, sources: Any = slice(None)) -> np.ndarray:
+        """Return the covariance (n, n) of a step's white noise and of some processes'."""
+        driven = self.driven[:, sources].reshape(len(self.driven), -1)
+        covariance: np.ndarray = driven @ driven.T
+        covariance[:5, :5] += self.white.sum(axis=0)
+        return covariance
 
 
-def _iter_steps(
-    count: int,
-    step: float,
-    problem: HeadingProblem,
-    processes: _Processes,
-    scales: np.ndarray,
-    unknown: np.ndarray,
-) -> Iterator[_Steps]:
-    """Yield each step, with the noise (cases, n, n) of its sources together."""
+def iter_steps(grid: StepGrid, problem: HeadingProblem, processes: Processes) -> Iterator[Steps]:
+    """Yield each step up to the last end: its transition, effect of constant errors and noise."""
+    count = grid.ends[-1]
     for first in range(0, count, _CHUNK):
         numbers = np.arange(first, min(first + _CHUNK, count))
-        steps = _integrate_steps(problem, numbers, step, processes)
-        noise = np.tensordot(steps.noise, scales, (1, 1)).transpose(0, 3, 1, 2)
-        yield from map(_Steps, steps.transition, steps.constant[:, :, unknown], noise)
+        steps = _integrate_steps(problem, numbers, grid.step, processes)
+        yield from map(Steps, *steps)
 
 
 def _integrate_steps(
-    problem: HeadingProblem, numbers: np.ndarray, step: float, processes: _Processes
-) -> _Steps:
+    problem: HeadingProblem, numbers: np.ndarray, step: float, processes: Processes
+) -> Steps:
     """Return the steps with some numbers."""
     place, count, nodes = problem.place, len(numbers), 1 if problem.still else problem.nodes
     into = (np.arange(nodes) + 0.5) / nodes * step
@@ -444,36 +400,36 @@ def _integrate_steps(
         """Return what errors along n (count, nodes, 3, errors) do to u and phi."""
         out = np.zeros((count, 5, error.shape[-1]))
         if sensor == GYRO:
-            out[:, _LEVEL], out[:, _PHI] = -lean @ integrate(error, 1), -integrate(error)
+            out[:, LEVEL], out[:, PHI] = -lean @ integrate(error, 1), -integrate(error)
         else:
-            out[:, _LEVEL] = integrate(error[:, :, :2])
+            out[:, LEVEL] = integrate(error[:, :, :2])
         return out
 
     c_w, c_f = (np.einsum("kmai,kmj->kmaij", c, x).reshape(*c.shape[:3], 9) for x in (w, f))
     parts = effect(GYRO, c), effect(ACCEL, c), effect(GYRO, c_w), effect(ACCEL, c_f)
     constant = np.concatenate(parts, axis=2)
 
-    n, white = 5 + len(processes.transition), len(NOISE_SOURCES)
+    n = 5 + len(processes.transition)
     transition = np.zeros((count, n, n - 2))
-    transition[:, _LEVEL, 0:3] = lean @ (np.eye(3) * step + turn * half)
-    transition[:, _PHI, 0:3] = np.eye(3) + turn * step + turn @ turn * half
+    transition[:, LEVEL, 0:3] = lean @ (np.eye(3) * step + turn * half)
+    transition[:, PHI, 0:3] = np.eye(3) + turn * step + turn @ turn * half
     transition[:, 5:, 3:] = processes.transition
-    noise = np.zeros((count, white + len(processes.errors), n, n))
+    white = np.zeros((count, len(NOISE_SOURCES), 5, 5))
+    driven = np.zeros((count, n, len(processes.errors), 3))
     errors, root_dt = problem.errors, np.sqrt(problem.dt)
     gyro, accel = (
         c * np.square(np.asarray(sigma) / root_dt) @ np.swapaxes(c, -1, -2)
         for sigma in (errors.gyro_noise, errors.accel_noise)
     )
     across = lean @ integrate(gyro, 1)
-    noise[:, GYRO, _LEVEL, _LEVEL] = lean @ integrate(gyro, 2) @ lean.T
-    noise[:, GYRO, _LEVEL, _PHI], noise[:, GYRO, _PHI, _LEVEL] = across, across.swapaxes(1, 2)
-    noise[:, GYRO, _PHI, _PHI] = integrate(gyro)
-    noise[:, ACCEL, _LEVEL, _LEVEL] = integrate(accel[:, :, :2, :2])
+    white[:, GYRO, LEVEL, LEVEL] = lean @ integrate(gyro, 2) @ lean.T
+    white[:, GYRO, LEVEL, PHI], white[:, GYRO, PHI, LEVEL] = across, across.swapaxes(1, 2)
+    white[:, GYRO, PHI, PHI] = integrate(gyro)
+    white[:, ACCEL, LEVEL, LEVEL] = integrate(accel[:, :, :2, :2])
     for source, (process, sensor, in_n) in enumerate(processes.errors):
         of_axes = _IN_N if in_n else constant[:, :, 3 * sensor : 3 * sensor + 3] / step
         of_axes = of_axes * process.scale
         transition[:, :5, 3:] += of_axes @ processes.output[source]
-        driven = np.zeros((count, n, 3))
-        driven[:, :5], driven[:, 5:] = of_axes * process.direct, processes.drive[source]
-        noise[:, white + source] = driven @ driven.swapaxes(1, 2)
-    return _Steps(transition, constant, noise)
+        driven[:, :5, source] = of_axes * process.direct
+        driven[:, 5:, source] = processes.drive[source]
+    return Steps(transition, constant, white, driven)

@@ -1,19 +1,20 @@
 """The motion that aligns given sensors best: parked, or one of four usual ways to turn them."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import (
     LONGEST_STEP_S,
     BaseMotion,
     HeadingProblem,
     IncrementErrors,
     coloured_errors,
-    heading_bound,
 )
 from sinsjax.errors import InputError
 from sinsjax.strapdown import earth, processes
@@ -27,6 +28,8 @@ _RATE_DEG_PER_S, _RAMP_S = 10.0, 1.0
 _TICK_S = 0.1  # of turns' times
 _CAROUSEL_DEG_PER_S, _FASTEST_DEG_PER_S = 12.0, 30.0
 _AXES = np.ones(3)
+SHORTEST_S, LONGEST_S = 10.0, 7200.0
+"""Times for which turns are planned and advice is given."""
 
 
 class TurnOption(NamedTuple):
@@ -34,7 +37,7 @@ class TurnOption(NamedTuple):
 
     Attributes:
         name: "parked", "half turn", "four positions", "six positions" or "reversing carousel".
-        sigma_arcmin: least 1 sigma of the heading error at the end, arcmin.
+        sigma_arcmin: 1 sigma of the heading error at the end, arcmin, in linear theory.
         motion: keys of [motion]; empty for "parked".
     """
 
@@ -44,7 +47,7 @@ class TurnOption(NamedTuple):
 
 
 class TurnChoice(NamedTuple):
-    """Motions of the base, compared by the information bound of the heading at the end.
+    """Motions of the base, compared by the heading error at the end.
 
     Attributes:
         options: that fit into the time, "parked" first.
@@ -84,7 +87,7 @@ class TurnChoice(NamedTuple):
         return display.format_text("Least heading error (1 sigma) by motion", lines)
 
 
-def plan_turns(
+def plan_turns(  # noqa: PLR0913
     *,
     gyro_bias_deg_per_h: float,
     gyro_arw_deg_per_sqrt_h: float,
@@ -172,12 +175,27 @@ def plan_turns(
         gyro_matrix=matrix,
         accel_matrix=np.zeros((3, 3)),
     )
+    level = partial(_turn_base, {}, place, duration_s)
+    return compare_turns(HeadingProblem(level, place, dt, errors, increment_errors), duration_s)
+
+
+def compare_turns(
+    problem: HeadingProblem, duration_s: float, left_out: Sequence[str] = ()
+) -> TurnChoice:
+    """Return the heading errors of a base that is turned in usual ways, from its own motion on.
+
+    Args:
+        problem: sensors and base; the turns are those of a level base.
+        duration_s: length of the data, s.
+        left_out: sources of errors without unknowns, see `bounds.estimator`.
+    """
     options = []
     for name, motion in _iter_motions(duration_s):
-        turning = partial(_turn_base, motion, place, duration_s)
-        problem = HeadingProblem(turning, place, dt, errors, increment_errors)
-        (sigma,) = heading_bound([duration_s], problem)
-        options.append(TurnOption(name, float(sigma / ARCMIN), motion))
+        turning = partial(_turn_base, motion, problem.place, duration_s)
+        base = replace(problem, motion=turning) if motion else problem
+        variances = heading_variances([duration_s], base, left_out)
+        sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
+        options.append(TurnOption(name, sigma / ARCMIN, motion))
     return TurnChoice(tuple(options))
 
 
@@ -187,6 +205,9 @@ def _check_numbers(values: dict[str, float], latitude_deg: float) -> None:
         positive = key == "accel_vrw_ug_per_sqrt_hz" or key.endswith("_s")
         if not math.isfinite(value) or value < 0 or (positive and value == 0):
             raise InputError(f"{key}: {value} is not {'positive' if positive else '0 or more'}")
+    if not SHORTEST_S <= values["duration_s"] <= LONGEST_S:
+        text = f"must be {SHORTEST_S:g} to {LONGEST_S:g} s, not {values['duration_s']:g}"
+        raise InputError(f"duration_s: {text}")
     if not abs(latitude_deg) < 90:
         raise InputError(f"latitude_deg: {latitude_deg} is not between -90 and 90")
 

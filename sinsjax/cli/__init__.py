@@ -1,27 +1,15 @@
 """The command line: thin commands. A user's mistake is one line, and exit code 2."""
 
 import gc
-import math
+import shlex
 import sys
-from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from sinsjax.cli import advice, arena, machine, study_files
-from sinsjax.cli.help import (
-    COMPARE,
-    LOOK,
-    RUN,
-    SET_UP,
-    Command,
-    CommandGroup,
-    UsageError,
-    format_usage_error,
-    resume_command_line,
-)
+from sinsjax import gone
+from sinsjax.cli import advice, arena, loop_gains, study_files
 from sinsjax.cli.options import (
     Changes,
     Config,
@@ -33,28 +21,24 @@ from sinsjax.cli.options import (
     Record,
     Reference,
     Resume,
-    add_draws_override,
 )
-from sinsjax.cli.running import (
-    configure_jax,
-    print_plan_and_warnings,
-    reject_conflicting_options,
-    run_study,
-    source_label,
-)
-from sinsjax.console import plain_console, tolerate_broken_pipe
+from sinsjax.cli.running import run_study
+from sinsjax.console import plain_console, print_line, tolerate_broken_pipe
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.messages import escape_controls
+from sinsjax.messages import escape_controls, to_one_line
 from sinsjax.platform import runtime
 
+RUN, LOOK, COMPARE, SET_UP = "Run", "Look", "Compare", "Set up"
+"""Panels of the list of commands."""
+
 app = typer.Typer(
-    cls=CommandGroup,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    rich_markup_mode=None,  # markup would swallow the name of a section such as [tune]
+    rich_markup_mode="markdown",  # rich's own would swallow the name of a section such as [tune]
     pretty_exceptions_enable=False,
 )
-command = partial(app.command, cls=Command)
+_UsageError: Any = typer.BadParameter.__base__
+"""Base class of typer's errors about a command line, which has no public name."""
 
 
 def _print_version(requested: bool) -> bool:
@@ -76,7 +60,7 @@ def _common_options(
     """Initial alignment of strapdown inertial navigators, thousands of runs at a time."""
 
 
-@command(rich_help_panel=RUN)
+@app.command(rich_help_panel=RUN)
 def run(
     config: Config,
     out: Out,
@@ -90,19 +74,21 @@ def run(
 
     Example: sinsjax run paper1_resets -o out
     """
+    from sinsjax.execution.run import MAX_CURVE_RUNS
+
     run_study(
         config,
-        out,
-        changes=changes,
-        overwrite=overwrite,
-        resume=resume,
+        changes,
         devices=devices,
         full=full,
-        keep_curves=True,
+        directory=out,
+        max_curve_runs=MAX_CURVE_RUNS,
+        overwrite=overwrite,
+        resume=resume,
     )
 
 
-@command(rich_help_panel=RUN)
+@app.command(rich_help_panel=RUN)
 def sweep(
     config: Config,
     out: Out,
@@ -135,19 +121,18 @@ def sweep(
         raise InputError("--devices: conflicts with --scheduler (one device per worker)")
     run_study(
         config,
-        out,
-        changes=add_draws_override(changes, draws),
-        overwrite=overwrite,
-        resume=resume,
+        changes if draws is None else [*(changes or ()), f"study.draws={draws}"],
         devices=devices,
         full=full,
-        keep_curves=False,
-        chunk_runs=chunk_runs,
         scheduler=scheduler,
+        directory=out,
+        chunk_runs=chunk_runs,
+        overwrite=overwrite,
+        resume=resume,
     )
 
 
-@command(rich_help_panel=RUN)
+@app.command(rich_help_panel=RUN)
 def align(
     record: Annotated[
         Path, typer.Argument(help="Inertial record.", show_default=False, metavar="RECORD")
@@ -168,20 +153,22 @@ def align(
 
     Example: sinsjax align drive.imu car_test -o out
     """
+    from sinsjax.execution.run import MAX_CURVE_RUNS
+
     run_study(
         config,
-        out,
-        changes=changes,
-        overwrite=overwrite,
-        resume=resume,
+        changes,
+        (record, reference),
         devices=devices,
         full=full,
-        keep_curves=True,
-        record_and_reference=(record, reference),
+        directory=out,
+        max_curve_runs=MAX_CURVE_RUNS,
+        overwrite=overwrite,
+        resume=resume,
     )
 
 
-@command(rich_help_panel=RUN)
+@app.command(rich_help_panel=RUN)
 def tune(
     config: Config,
     out: Out,
@@ -197,34 +184,20 @@ def tune(
 
     Example: sinsjax tune tune_condition5 -o out
     """
-    from sinsjax.cli.progress import stop_on_signal
-    from sinsjax.execution.prepare import RunOptions
-    from sinsjax.execution.progress import show_progress
-    from sinsjax.study.changes import parse_changes
-    from sinsjax.tuning import run_tuning
-
-    reject_conflicting_options(overwrite=overwrite, resume=resume, devices=devices)
-    configure_jax(devices)
-    options = RunOptions(
-        out, overwrite=overwrite, resume=resume, source=source_label(config, changes)
-    )
-    job = run_tuning.prepare_tuning(
-        config, parse_changes(changes or ()), record, reference, options
-    )
-    assert job.directory is not None and job.forecast is not None
-    terminal = plain_console()
-    cores = runtime.usable_cores() if devices is None else devices
-    print_plan_and_warnings(terminal, job, job.forecast.describe(cores))
-    with stop_on_signal(terminal) as stop:
-        run_tuning.run_tuning(
-            job, watch=lambda name: show_progress(terminal, f"{job.study.name}: {name}"), stop=stop
-        )
-    import_module("sinsjax.report").print_reports(
-        [job.directory], terminal, full=full, warnings_shown=True
+    run_study(
+        config,
+        changes,
+        (record, reference),
+        devices=devices,
+        full=full,
+        tunes=True,
+        directory=out,
+        overwrite=overwrite,
+        resume=resume,
     )
 
 
-@command(rich_help_panel=LOOK)
+@app.command(rich_help_panel=LOOK)
 def rerun(
     directory: Annotated[
         Path, typer.Argument(help="Directory of results.", show_default=False, metavar="DIR")
@@ -265,7 +238,7 @@ def rerun(
         raise typer.Exit(1)
 
 
-@command(rich_help_panel=LOOK)
+@app.command(rich_help_panel=LOOK)
 def report(
     directories: Annotated[
         list[Path],
@@ -286,46 +259,32 @@ def report(
     reports.print_reports(directories, plain_console(), html, full=full)
 
 
-for _command in arena.COMMANDS:
-    command(rich_help_panel=COMPARE)(_command)
+def info() -> None:
+    """Show versions, devices, compiler options and the folder of compiled programs."""
+    from sinsjax.study.keys import (  # without plug-ins that clash with keys of a study
+        BROKEN,
+        PACKAGES,
+    )
 
-for _command in (advice.advise, *study_files.COMMANDS, *machine.COMMANDS):
-    command(rich_help_panel=SET_UP)(_command)
-
-
-@command(rich_help_panel=SET_UP)
-def gains(
-    level_sigma: Annotated[
-        float, typer.Option(help="Decay rate of levelling, 1/s.", metavar="X")
-    ] = 0.02,
-    azimuth_sigma: Annotated[
-        float, typer.Option(help="Decay rate in azimuth, 1/s.", metavar="X")
-    ] = 0.01,
-    damping: Annotated[
-        float, typer.Option(help="Damping ratio of both, above 0, below 1.", metavar="X")
-    ] = 0.5**0.5,
-    gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.", metavar="X")] = 9.8,
-    radius: Annotated[float, typer.Option(help="Earth radius, m.", metavar="X")] = 6378137.0,
-) -> None:
-    """Design the compass loops: gains from decay rates, the resulting roots and settling times.
-
-    Example: sinsjax gains --azimuth-sigma 0.025
-    """
-    from sinsjax.cli.loop_gains import print_gains
-
-    numbers = {
-        "--level-sigma": level_sigma,
-        "--azimuth-sigma": azimuth_sigma,
-        "--damping": damping,
-        "--gravity": gravity,
-        "--radius": radius,
+    runtime.configure()
+    runtime.start_backend()
+    entries = runtime.info()
+    entries["options"] = ", ".join(f"{key} = {value}" for key, value in entries["options"].items())
+    methods = (f"{name} ({' '.join(package)})" for name, package in PACKAGES.items())
+    more = {
+        "plug-in methods": ", ".join(methods),
+        "not usable": "; ".join(BROKEN.values()),
     }
-    for option, value in numbers.items():
-        if not 0 < value < (1 if option == "--damping" else math.inf):
-            below = " and below 1" if option == "--damping" else ""
-            raise InputError(f"{option}: must be above 0{below}, not {value:g}")
-    rates = (level_sigma, azimuth_sigma, damping)
-    print_gains(plain_console(), *rates, gravity=gravity, radius=radius)
+    for key, value in (entries | {key: value for key, value in more.items() if value}).items():
+        print_line(plain_console(), f"{key:>20}  {value}")
+
+
+for _panel, _commands in {
+    COMPARE: arena.COMMANDS,
+    SET_UP: (advice.advise, *study_files.COMMANDS, info, loop_gains.gains),
+}.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_panel)(_command)
 
 
 def main() -> None:
@@ -336,28 +295,42 @@ def main() -> None:
     with tolerate_broken_pipe():
         try:
             code = app(standalone_mode=False)  # typer itself would print the usage before an error
-        except UsageError as error:
-            if len(sys.argv) == 1:  # without a command, its help is shown
-                error.show()
-            else:
-                print(f"error: {format_usage_error(error)}", file=sys.stderr)
-            raise SystemExit(2) from None
-        except InputError as error:
-            for line in error.lines:
-                print(f"error: {line}", file=sys.stderr)
-            raise SystemExit(2) from None
-        except StudyInterrupted as interrupted:
-            line = f"interrupted: {interrupted} (continue: {resume_command_line()})"
-            print(escape_controls(line), file=sys.stderr)
-            raise SystemExit(130) from None
         except Exception as error:
-            from sinsjax.methods.plugins import describe_plugin_error
-
-            described = describe_plugin_error(error)
-            if described is None:
-                raise
-            print(f"error: {described}", file=sys.stderr)
-            raise SystemExit(2) from None
+            if len(sys.argv) == 1 and isinstance(error, _UsageError):
+                error.show()  # the help
+                raise SystemExit(2) from None
+            code, lines = _describe_end(error)
+            for line in lines:
+                print(line, file=sys.stderr)
+            raise SystemExit(code) from None
         if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
             print("interrupted: stored results are kept", file=sys.stderr)
         raise SystemExit(code)
+
+
+def _describe_end(error: Any) -> tuple[int, list[str]]:
+    """Return the exit code of a command that an error ends, and its lines.
+
+    Raises:
+        Exception: the error itself, if it is one of sinsjax.
+    """
+    if isinstance(error, StudyInterrupted):
+        words = [word for word in sys.argv[1:] if word not in ("--overwrite", "--resume")]
+        option = "--overwrite" if words[:1] == ["export"] else "--resume"
+        again = shlex.join(["sinsjax", *words, option])
+        return 130, [escape_controls(f"interrupted: {error} (continue: {again})")]
+    if isinstance(error, InputError):
+        return 2, [f"error: {line}" for line in error.lines]
+    if isinstance(error, _UsageError):
+        name, option = sys.argv[1], getattr(error, "option_name", "")
+        if instead := gone.COMMANDS.get(name) or gone.OPTIONS.get((name, option)):
+            return 2, [f"error: {f'{name} {option}'.strip()}: {gone.LINE.format(instead)}"]
+        text = to_one_line(error.format_message()).rstrip(".")
+        help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
+        return 2, [f"error: {text[:1].lower()}{text[1:]}{help_}"]
+    from sinsjax.methods.plugins import describe_plugin_error
+
+    described = describe_plugin_error(error)
+    if described is None:
+        raise error
+    return 2, [f"error: {described}"]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sinsjax.cli.options import Changes
+from sinsjax.cli.options import Changes, completes
 from sinsjax.cli.study_files import require_new
 from sinsjax.console import plain_console, print_line
 from sinsjax.platform.files import atomic_write
@@ -16,16 +16,10 @@ _WIDEST = 100
 _WRAPPED: Any = {"subsequent_indent": " " * 12, "drop_whitespace": True, "break_on_hyphens": False}
 
 
-def _complete_imu(incomplete: str) -> list[str]:
+def _list_sheets() -> list[str]:
     from sinsjax.advice.sheet import shipped_sheets
 
-    return [name for name in shipped_sheets() if name.startswith(incomplete)]
-
-
-def _complete_motion(incomplete: str) -> list[str]:
-    from sinsjax.advice.sheet import MOTIONS
-
-    return [name for name in MOTIONS if name.startswith(incomplete)]
+    return list(shipped_sheets())
 
 
 def advise(
@@ -42,7 +36,7 @@ def advise(
         typer.Option(
             help="A shipped sheet instead; `list` shows them.",
             metavar="NAME",
-            autocompletion=_complete_imu,
+            autocompletion=completes(_list_sheets),
         ),
     ] = None,
     latitude: Annotated[
@@ -55,9 +49,8 @@ def advise(
     motion: Annotated[
         str | None,
         typer.Option(
-            help="Vehicle motion, in place of [motion]: still, sway or surge.",
+            help="Vehicle motion, in place of [motion]: still, rocking or surging.",
             metavar="NAME",
-            autocompletion=_complete_motion,
         ),
     ] = None,
     changes: Changes = None,
@@ -71,7 +64,7 @@ def advise(
 ) -> None:
     """Predict from a data sheet how well an IMU finds north, its limits, and recommended settings.
 
-    Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion sway
+    Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion rocking
     """
     from sinsjax.advice.advise import advise as advise_on
     from sinsjax.advice.sheet import describe_sheets

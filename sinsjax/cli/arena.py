@@ -47,28 +47,27 @@ def export(
 
     Example: sinsjax export paper1_resets -o draws --format psins
     """
-    from sinsjax.arena.export import plan_export, write_export
-    from sinsjax.cli.progress import stop_on_signal
-    from sinsjax.errors import StudyInterrupted
-    from sinsjax.execution.directory import results_path
-    from sinsjax.execution.progress import RunProgress, show_progress
+    from sinsjax.arena.export import export_study
+    from sinsjax.execution.progress import show_progress
     from sinsjax.platform import runtime
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
 
     runtime.configure()
-    study = load_study(config, parse_changes(changes or ()))
+    study, console = load_study(config, parse_changes(changes or ())), plain_console()
     kind, what, axes = (word.lower() for word in (format_, quantity, frame or "enu"))
-    plan = plan_export(study, _parse_draws(draws), kind, what, axes, blind)
-    directory, console, total = results_path(out), plain_console(), plan.n_records
-    with stop_on_signal(console) as stop, show_progress(console, study.name) as show:
-        for done in write_export(plan, directory, overwrite=overwrite):
-            if done == 0:
-                print_line(console, f"{plan.text}.")
-            else:
-                show(RunProgress(done, total, None, 0, "records"))
-            if stop.is_set() and done < total:
-                raise StudyInterrupted(f"{done:,} of {total:,} records are in {directory}")
+    with show_progress(console, study.name) as show:
+        directory = export_study(
+            study,
+            out,
+            draws=_parse_draws(draws),
+            format=kind,
+            quantity=what,
+            frame=axes,
+            blind=blind,
+            overwrite=overwrite,
+            on_progress=show,
+        )
     print_line(console, f"{directory}: read README.txt; then")
     print_line(console, f"sinsjax score {shlex.quote(str(directory))} RESULTS --name PROGRAM")
 
@@ -140,33 +139,19 @@ def score(
 def _result_table(comparison: Any) -> Any:
     """Return the table of a comparison, one row per condition."""
     from sinsjax.analysis import format_estimate
-    from sinsjax.analysis.formats import format_percent
     from sinsjax.report.base import Table
     from sinsjax.report.choices import condition_header, format_condition
 
-    name, rows = comparison.name, [*comparison.conditions, comparison.overall]
-    has_nees = any(row.nees for row in rows)
-    header = [
-        condition_header(comparison.keys) or "conditions",
-        f"{name} (arcmin)",
-        "best (arcmin)",
-        "difference (arcmin)",
-        f"{name} ok (%)",
-        "best ok (%)",
-        *([f"{name} NEES, expected 3"] if has_nees else []),
-    ]
-    cells = [
+    header = [condition_header(comparison.keys) or "conditions", comparison.name, "best"]
+    rows = [
         [
             "all" if row.point is None else format_condition(comparison.keys, row.point),
             *map(format_estimate, (row.program, row.best, row.difference)),
-            format_percent(row.success),
-            format_percent(row.success_best),
-            *([format_estimate(row.nees) if row.nees else ""] if has_nees else []),
         ]
-        for row in rows
+        for row in (*comparison.conditions, comparison.overall)
     ]
-    title = f"Mean heading error, and success ({comparison.criterion}); best: {comparison.best}"
-    return Table(title, header, cells)
+    title = f"Mean heading error (arcmin); best: {comparison.best}"
+    return Table(title, [*header, "difference"], rows)
 
 
 def _parse_draws(text: str | None) -> tuple[int, int] | None:

@@ -5,53 +5,49 @@ from typing import Any
 
 import typer
 
-from sinsjax.cli import app
+from sinsjax.cli import COMPARE, LOOK, RUN, SET_UP, app
+
+_INTRODUCTION = (
+    "`sinsjax COMMAND -h` prints these, `sinsjax --version` the version;"
+    " `sinsjax --install-completion` completes commands, studies and keys in the shell. A mistake"
+    " is one line and exit code 2; an interrupted study ends with exit"
+    " code 130, and `--resume` continues it."
+)
 
 
 def render_commands_page() -> str:
     """Return usage, examples, arguments and options of every command, as Markdown."""
     group: Any = typer.main.get_command(app)
-    panels = group.commands_by_panel(typer.Context(group))
-    commands = {name: command for panel in panels.values() for name, command in panel.items()}
-    records = {name: _help_records(command) for name, command in commands.items()}
-    uses = Counter(record for records_ in records.values() for record in records_)
-    common = [record for record, count in uses.items() if count > 1]
-    lines = [
-        "# Commands",
-        "",
-        "`sinsjax COMMAND -h` prints these, `sinsjax --version` the version;"
-        " `sinsjax --install-completion` completes commands, studies and keys in the shell. A"
-        " mistake is one line ([messages](messages.md)) and exit code 2; an interrupted study ends"
-        " with exit code 130, and `--resume` continues it.",
-        "",
-    ]
-    for panel, names in panels.items():
+    entries = {name: _describe_parameters(command) for name, command in group.commands.items()}
+    uses = Counter(line for lines in entries.values() for line in lines)
+    lines = ["# Commands", "", _INTRODUCTION, ""]
+    for panel in (RUN, LOOK, COMPARE, SET_UP):
+        names = [k for k, command in group.commands.items() if command.rich_help_panel == panel]
         lines.append(f"- **{panel}**: {', '.join(f'[{name}](#{name})' for name in names)}")
-    lines += ["", "## Common arguments and options", "", *map(_format_record, common)]
-    for name, command in commands.items():
+    lines += ["", "## Common arguments and options", ""]
+    lines += [line for line, count in uses.items() if count > 1]
+    for name, command in group.commands.items():
         summary, _, example = " ".join(command.help.split()).partition(" Example: ")
-        usage = command.collect_usage_pieces(typer.Context(command))
-        calls = " ".join(["sinsjax", name, *usage]), *filter(None, example.split("; "))
-        shared = [f"`{_short_name(record)}`" for record in records[name] if record in common]
-        listed = [f"- Common: {', '.join(shared)}"] if shared else []
-        listed += [_format_record(record) for record in records[name] if record not in common]
+        usage = " ".join(command.collect_usage_pieces(typer.Context(command)))
+        usage = usage.replace("{", "").replace("}", "")
+        calls = f"sinsjax {name} {usage}", *filter(None, example.split("; "))
+        shared = [line.split()[1].rstrip(",:`") for line in entries[name] if uses[line] > 1]
         lines += ["", f"## {name}", "", summary, "", "```", *calls, "```"]
-        lines += ["", *listed] if listed else []
+        lines += [""] if entries[name] else []
+        lines += [f"- Common: {', '.join(f'{word}`' for word in shared)}"] if shared else []
+        lines += [line for line in entries[name] if uses[line] == 1]
     return "\n".join([*lines, ""])
 
 
-def _help_records(command: Any) -> list[tuple[str, str]]:
-    """Return the arguments and options of a command with their help."""
-    records = command.help_records(typer.Context(command)).values()
-    return [record for kind in records for record in kind if record[0] != "--help"]
-
-
-def _short_name(record: tuple[str, str]) -> str:
-    return record[0].split()[0].rstrip(",")
-
-
-def _format_record(record: tuple[str, str]) -> str:
-    return f"- `{record[0]}`: {' '.join(record[1].split())}"
+def _describe_parameters(command: Any) -> list[str]:
+    """Return a line about each argument and option of a command but its help."""
+    lines = []
+    for parameter in command.params:
+        name, text = parameter.get_help_record(typer.Context(command))
+        if parameter.param_type_name == "argument":
+            name = parameter.metavar + ("..." if parameter.nargs != 1 else "")
+        lines.append(f"- `{name}`: {' '.join(text.split())}")
+    return lines
 
 
 if __name__ == "__main__":

@@ -1,19 +1,18 @@
 """Design of the compass loops: gains from decay rates, and the resulting roots."""
 
 import math
+from typing import Annotated, Any
 
-import numpy as np
-from rich.console import Console
+import typer
 
-from sinsjax.methods import compass_design as loops
-from sinsjax.report.base import Table
-from sinsjax.report.terminal import print_table
+from sinsjax.console import plain_console
+from sinsjax.errors import InputError
 
 
 def gain_tables(
     level_sigma: float, azimuth_sigma: float, damping: float, *, gravity: float, radius: float
-) -> list[Table]:
-    """Return the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
+) -> list[Any]:
+    """Return tables of the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
 
     Args:
         level_sigma: decay rate of the levelling loop, 1/s.
@@ -22,6 +21,9 @@ def gain_tables(
         gravity: m/s^2.
         radius: of the Earth, m.
     """
+    from sinsjax.methods import compass_design as loops
+    from sinsjax.report.base import Table
+
     earth = {"gravity": gravity, "radius": radius}
     level = loops.level_gains(level_sigma, damping, **earth)
     azimuth = loops.azimuth_gains(azimuth_sigma, damping, **earth)
@@ -32,8 +34,13 @@ def gain_tables(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _loop_row("level", level_sigma, damping, loops.level_polynomial(level, **earth)),
-        _loop_row("azimuth", azimuth_sigma, damping, loops.azimuth_polynomial(azimuth, **earth)),
+        _loop_row("level", level_sigma, damping, loops.roots(loops.level_matrix(level, **earth))),
+        _loop_row(
+            "azimuth",
+            azimuth_sigma,
+            damping,
+            loops.roots(loops.azimuth_matrix(azimuth, **earth)),
+        ),
     ]
     return [
         Table(
@@ -51,15 +58,14 @@ def gain_tables(
     ]
 
 
-def _loop_row(name: str, sigma: float, damping: float, polynomial: np.ndarray) -> list[str]:
+def _loop_row(name: str, sigma: float, damping: float, roots: Any) -> list[str]:
     period = 2 * math.pi * damping / (sigma * math.sqrt(1 - damping**2))
-    return [name, _format_roots(polynomial), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
+    return [name, _format_roots(roots), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
 
 
-def _format_roots(polynomial: np.ndarray) -> str:
+def _format_roots(found: Any) -> str:
     """Return the roots, conjugate pairs together, with the multiplicity of double ones."""
-    found = loops.roots(polynomial)
-    size = np.abs(found).max()
+    size = max(map(abs, found))
     # Double roots are found to half of the digits only.
     rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]
     upper = sorted(root for root in rounded if root[1] >= 0)
@@ -71,7 +77,36 @@ def _format_roots(polynomial: np.ndarray) -> str:
     return ", ".join(texts)
 
 
-def print_gains(console: Console, *args: float, **earth: float) -> None:
-    """Print the tables of `gain_tables`, with its arguments."""
-    for table in gain_tables(*args, **earth):
-        print_table(table, console)
+def gains(
+    level_sigma: Annotated[
+        float, typer.Option(help="Decay rate of levelling, 1/s.", metavar="X")
+    ] = 0.02,
+    azimuth_sigma: Annotated[
+        float, typer.Option(help="Decay rate in azimuth, 1/s.", metavar="X")
+    ] = 0.01,
+    damping: Annotated[
+        float, typer.Option(help="Damping ratio of both, above 0, below 1.", metavar="X")
+    ] = 0.5**0.5,
+    gravity: Annotated[float, typer.Option(help="Gravity, m/s^2.", metavar="X")] = 9.8,
+    radius: Annotated[float, typer.Option(help="Earth radius, m.", metavar="X")] = 6378137.0,
+) -> None:
+    """Design the compass loops: gains from decay rates, the resulting roots and settling times.
+
+    Example: sinsjax gains --azimuth-sigma 0.025
+    """
+    numbers = {
+        "--level-sigma": level_sigma,
+        "--azimuth-sigma": azimuth_sigma,
+        "--damping": damping,
+        "--gravity": gravity,
+        "--radius": radius,
+    }
+    for option, value in numbers.items():
+        if not 0 < value < (1 if option == "--damping" else math.inf):
+            below = " and below 1" if option == "--damping" else ""
+            raise InputError(f"{option}: must be above 0{below}, not {value:g}")
+    from sinsjax.report.terminal import print_table
+
+    tables = gain_tables(level_sigma, azimuth_sigma, damping, gravity=gravity, radius=radius)
+    for table in tables:
+        print_table(table, plain_console())

@@ -1,5 +1,6 @@
 """Arguments and options shared by several commands, and their shell completion."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -12,35 +13,28 @@ def _find_study(path: Path) -> Path:
     return files.find_study_file(path)
 
 
-def complete_study(incomplete: str) -> list[str]:
-    """The shipped studies and the study files of this folder that a word may be completed to."""
+def completes(list_names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return the shell completion of a word by the names that begin with it."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in list_names() if name.startswith(incomplete)]
+
+    return complete
+
+
+def _list_studies() -> list[str]:
     from sinsjax.study import files
 
-    local = (path.name for path in Path().glob("*.toml"))
-    return [name for name in (*local, *files.shipped_studies()) if name.startswith(incomplete)]
+    return [*(path.name for path in Path().glob("*.toml")), *files.shipped_studies()]
 
 
-def complete_section_or_key(incomplete: str) -> list[str]:
-    """The sections, keys and methods that `sinsjax keys` explains."""
-    from sinsjax.methods.registry import METHODS
-    from sinsjax.study.keys import TABLES
-
-    known = [*TABLES, *(key for model in TABLES.values() for key in model.model_fields), *METHODS]
-    return [name for name in known if name.startswith(incomplete)]
-
-
-def add_draws_override(changes: list[str] | None, draws: int | None) -> list[str] | None:
-    """Return the changes of a study, with its number of draws if given."""
-    return changes if draws is None else [*(changes or ()), f"study.draws={draws}"]
-
-
-def complete_override_key(incomplete: str) -> list[str]:
-    """The keys that may be set, as ``section.key=``."""
+def _list_keys() -> list[str]:
     from sinsjax.study.keys import SECTIONS
 
-    known = (f"{name}.{key}=" for name, model in SECTIONS.items() for key in model.model_fields)
-    return [place for place in known if place.startswith(incomplete)]
+    return [f"{name}.{key}=" for name, model in SECTIONS.items() for key in model.model_fields]
 
+
+complete_key = completes(_list_keys)
 
 Config = Annotated[
     Path,
@@ -49,7 +43,7 @@ Config = Annotated[
         show_default=False,
         metavar="CONFIG",
         callback=_find_study,
-        autocompletion=complete_study,
+        autocompletion=completes(_list_studies),
     ),
 ]
 Changes = Annotated[
@@ -59,7 +53,7 @@ Changes = Annotated[
         help="Change a key of the study, as in alignment.phi_u0_deg=12; SECTION={} drops a section,"
         " axes.KEY={} an axis; may be repeated.",
         metavar="SECTION.KEY=VALUE",
-        autocompletion=complete_override_key,
+        autocompletion=complete_key,
     ),
 ]
 Draws = Annotated[

@@ -2,7 +2,6 @@
 
 import os
 import re
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -14,14 +13,21 @@ from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
+from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write
 
 
-def _complete_name(incomplete: str) -> list[str]:
+def _list_names() -> list[str]:
     from sinsjax.study import files
 
-    known = {**files.template_files(), **files.shipped_studies(), **files.GROUPS}
-    return [name for name in known if name.startswith(incomplete)]
+    return [*files.template_files(), *files.shipped_studies(), *files.GROUPS]
+
+
+def _list_explained() -> list[str]:
+    from sinsjax.methods.registry import METHODS
+    from sinsjax.study.keys import TABLES
+
+    return [*TABLES, *(key for model in TABLES.values() for key in model.model_fields), *METHODS]
 
 
 def init(
@@ -31,7 +37,7 @@ def init(
             help="Template or shipped study; with --list also a group of studies.",
             show_default=False,
             metavar="NAME",
-            autocompletion=_complete_name,
+            autocompletion=options.completes(_list_names),
         ),
     ] = None,
     out: Annotated[
@@ -54,7 +60,7 @@ def init(
             help="With --from: a known property of the record, as in record.gyro_unit=rad_per_s;"
             " the rest is examined. May be repeated.",
             metavar="SECTION.KEY=VALUE",
-            autocompletion=options.complete_override_key,
+            autocompletion=options.complete_key,
         ),
     ] = None,
     list_: Annotated[
@@ -70,8 +76,8 @@ def init(
 
     console = plain_console()
     if list_:
-        for line in _list_studies(name, console.width):
-            print_line(console, line)
+        for line in _list_studies(name):
+            print_line(console, line, wrap=True)
         return
     if name is None:
         raise InputError("NAME: required (`sinsjax init --list` shows the names)")
@@ -109,55 +115,28 @@ def _describe_gaps(text: str, path: Path, log: Path) -> Iterator[str]:
     yield f"`sinsjax align {log} {path} -o out` runs it."
 
 
-def _list_studies(name: str | None, width: int) -> list[str]:
-    """Return the names of templates, first studies and groups, or the purposes of some studies."""
+def _list_studies(name: str | None) -> Iterator[str]:
+    """Yield the studies to begin with and the groups, or the studies of a group."""
     from sinsjax.study import files
 
-    groups, templates = files.studies_by_group(), files.template_files()
+    groups = {"templates": files.template_files()} | files.studies_by_group()
     if name is not None:
-        by_name = {
-            study: {study: path} for study, path in (files.shipped_studies() | templates).items()
-        }
-        known = groups | by_name
+        studies = {study: path for group in groups.values() for study, path in group.items()}
+        known = groups | {study: {study: path} for study, path in studies.items()}
         if name not in known:
-            raise InputError(
-                f"{name}: no study or group of this name{suggest_closest(name, known)}"
-            )
-        return _format_two_columns(
-            {study: files.read_purpose(path) for study, path in known[name].items()}, width
-        )
-    first = groups.pop("first")
-    begin = {
-        title: {by_name: files.read_purpose(path) for by_name, path in members_of_title.items()}
-        for title, members_of_title in (
-            ("Templates", templates),
-            (files.GROUPS["first"].capitalize(), first),
-        )
-    }
-    column = max(
-        len(by_name) for members_of_title in begin.values() for by_name in members_of_title
-    )
-    lines = []
-    for title, members_of_title in begin.items():
-        lines += [f"{title}:", *_format_two_columns(members_of_title, width, column)]
-    lines.append("More studies, by group (`sinsjax init --list GROUP` describes them):")
+            hint = suggest_closest(name, known)
+            raise InputError(f"{name}: no study or group of this name{hint}")
+        groups, described = {name: known[name]}, {name}
+    else:
+        described = {"templates", "first"}
     for group, members in groups.items():
-        lines += _format_two_columns({group: f"{files.GROUPS[group]}:"}, width, column)
-        lines += _format_two_columns({"": "  ".join(members)}, width, column)
-    return lines
-
-
-def _format_two_columns(rows: dict[str, str], width: int, column_width: int = 0) -> list[str]:
-    """Return lines of a terminal with a name in the first column and a text in the second."""
-    column_width = column_width or max(map(len, rows))
-    space = " " * (column_width + 4)
-    lines = []
-    for name, text in rows.items():
-        begun = f"  {name:<{column_width}}  "
-        lines += textwrap.wrap(
-            text, width, initial_indent=begun, subsequent_indent=space, break_on_hyphens=False
-        )
-    return lines
+        yield f"{group}: {files.GROUPS.get(group, '')}".rstrip(": ")
+        if group in described:
+            yield from (f"    {study}: {files.read_purpose(at)}" for study, at in members.items())
+        else:
+            yield f"    {', '.join(members)}"
+    if name is None:
+        yield "`sinsjax init --list GROUP` describes the studies of a group."
 
 
 def validate(config: Config, changes: Changes = None) -> None:
@@ -165,10 +144,40 @@ def validate(config: Config, changes: Changes = None) -> None:
 
     Example: sinsjax validate reset_sweep --set study.draws=64
     """
-    from sinsjax.cli.running import describe_plan
-
     for line in describe_plan(config, changes):
         print_line(plain_console(), line)
+
+
+def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
+    """Return the planned runs of a study and their cost: steps, time, memory and disk."""
+    from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.study.changes import parse_changes
+    from sinsjax.study.files import source_name
+    from sinsjax.study.load import load_study
+    from sinsjax.study.unused_keys import list_idle_keys
+    from sinsjax.tuning.run_tuning import prepare_tuning
+
+    runtime.configure()  # plug-in methods are traced
+    overrides = parse_changes(changes or ())
+    study = load_study(config, overrides)
+    if study.tune:
+        summary = f"tunes {', '.join(study.tune.variables)}"
+    else:
+        draws = "start times" if study.is_recorded else "draws"
+        summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
+    lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
+    if study.is_recorded:
+        return [*lines, "The record determines the rate and the duration."]
+    if study.tune:
+        job = prepare_tuning(config, overrides, None, None, RunOptions())
+    else:
+        job = prepare_job(config, overrides, options=RunOptions())
+    expected = job.forecast
+    assert expected is not None
+    steps = expected.length_s * study.rate_hz
+    lines.append(f"{expected.describe(runtime.usable_cores())}.")
+    lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
+    return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 
 
 def keys(
@@ -178,7 +187,7 @@ def keys(
             help="Section, key or method; all keys without one.",
             show_default=False,
             metavar="SECTION|KEY|METHOD",
-            autocompletion=options.complete_section_or_key,
+            autocompletion=options.completes(_list_explained),
         ),
     ] = None,
 ) -> None:

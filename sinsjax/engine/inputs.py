@@ -88,11 +88,6 @@ class ProgramSpec(NamedTuple):
         """Whether stacked tiles share one covariance."""
         return self.stacks and self.program.shares_covariance
 
-    @property
-    def finds_heading(self) -> bool:
-        """Whether the method finds a heading."""
-        return METHODS[self.method].finds_heading
-
     def of_coarse_stage(self) -> "ProgramSpec":
         """Return the program of the coarse stage, which lies within one pass."""
         assert self.coarse is not None
@@ -192,6 +187,11 @@ class Draw(NamedTuple):
     biases: MeanBiases | None = None
     rest: IdealSample | None = None
     nodes: Nodes | None = None
+
+    @property
+    def run_axis(self) -> int | None:
+        """Axis, for `jax.vmap`, of what is broadcast to runs; None if all share one draw."""
+        return None if len(self.draw_id) == 1 else 0
 
 
 class RunParams(NamedTuple):

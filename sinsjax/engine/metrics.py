@@ -183,8 +183,8 @@ def accumulate(
             now,
             (time > criteria.window_start) & (time <= criteria.window_end),
         ),
-        above=_count_if(metrics.above, judged & above),
-        judged=_count_if(metrics.judged, judged),
+        above=jnp.where(judged & above, metrics.above + 1, metrics.above),
+        judged=jnp.where(judged, metrics.judged + 1, metrics.judged),
         last=now,
         at_times=metrics.at_times,
     )
@@ -224,15 +224,11 @@ def _add_to_window(window: Window, now: Observation, inside: Flag) -> Window:
     first = jnp.where(opening, values, window.first)
     step = _wrap(values - first)
     return Window(
-        count=_count_if(window.count, inside),
+        count=jnp.where(inside, window.count + 1, window.count),
         first=first,
         sums=jnp.where(inside, window.sums + step, window.sums),
         squares=jnp.where(inside, window.squares + step * step, window.squares),
     )
-
-
-def _count_if(so_far: Array, counted: Array) -> Array:
-    return jnp.where(counted, so_far + 1, so_far)
 
 
 def _wrap(angle: Array) -> Array:

@@ -158,7 +158,7 @@ def _warn_of_zero_gradients(method: Any) -> Any:
     """Return a method's params that warn if they are differentiated by counts of samples."""
 
     def wrap(part: Any) -> Any:
-        if type(part) not in _COUNTS:
+        if type(part) not in _COUNTS or getattr(part, "width", None) is not None:
             return part
         field, what = _COUNTS[type(part)]
         return part._replace(**{field: _constant_count(what, getattr(part, field))})

@@ -42,6 +42,7 @@ from sinsjax.methods.method import (
     unknown_covariance,
 )
 from sinsjax.methods.passes import BodyRotation, PassReading
+from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
 
@@ -139,7 +140,7 @@ def _coarse_then_fine(runs: "TileRuns", start: TileState) -> tuple[Run, Array | 
         jax.tree.map(lambda a, part=part: a[part], all_)
         for part in (slice(None, coarse.intervals), slice(coarse.intervals, None))
     )
-    coarse_runs = runs.with_program(runs.spec.of_coarse_stage())
+    coarse_runs = runs._replace(one=runs.one._replace(spec=runs.spec.of_coarse_stage()))
     coarse_start = start._replace(run=coarse_runs.start())
     (run, sensor_state), rows = jax.lax.scan(
         partial(advance_interval, coarse_runs), coarse_start, first
@@ -235,7 +236,8 @@ class RunFunctions(NamedTuple):
         """
         state, criteria = self.method.normalise(run.state), self.environment.criteria
         attitude, covariance = self.method.attitude(state), self.covariance(state)
-        now = metrics.observe(q_true, attitude, covariance, finds_heading=self.spec.finds_heading)
+        finds_heading = METHODS[self.spec.method].finds_heading
+        now = metrics.observe(q_true, attitude, covariance, finds_heading=finds_heading)
         time = n * self.spec.options.dt
         so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=time)
         return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
@@ -305,18 +307,9 @@ class TileRuns(NamedTuple):
         return self.sensors.draws
 
     @property
-    def draw_axis(self) -> int | None:
-        """Axis, for `jax.vmap`, of what is broadcast to runs; None if all share one draw."""
-        return _draw_axis(self.draws)
-
-    @property
     def site_axis(self) -> int | None:
         """Axis of the site; None if all runs share it."""
-        return None if self.draws.site is None else self.draw_axis
-
-    def with_program(self, spec: ProgramSpec) -> "TileRuns":
-        """Return the same runs with another method and way of reading the record."""
-        return self._replace(one=self.one._replace(spec=spec))
+        return None if self.draws.site is None else self.draws.run_axis
 
     def intervals(self) -> Intervals:
         """Return all intervals of the runs."""
@@ -332,17 +325,13 @@ class TileRuns(NamedTuple):
 
     def start(self) -> Run:
         """Return the runs before their first sample."""
-        start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.draw_axis))
+        start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.draws.run_axis))
         return start(self.params, self.site, self.q)
 
     def read(self, number: Count) -> PassReading:
         """Return the samples that an interval reads."""
         every, pass_intervals = self.spec.interval_samples, self.environment.pass_intervals
-        if self.spec.passes == "alternate":
-            return passes.read_alternately(number, pass_intervals, every)
-        if self.spec.passes == "rewind":
-            return passes.read_forward(number, pass_intervals, every)
-        return passes.read_once(number, every)
+        return passes.read_interval(self.spec.passes, number, pass_intervals, every)
 
     def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
         """Return the states of methods and sensors as an interval begins, which may open a pass."""
@@ -353,7 +342,7 @@ class TileRuns(NamedTuple):
             reverse = jax.vmap(self.one.reverse, in_axes=(0, self.site_axis, 0, None))
             changed = reverse(self.params, self.site, state, reading.backward)
             return select_tree(reading.opens_pass, changed, state), sensor_state
-        rewind = jax.vmap(self.one.rewind, in_axes=(0, self.site_axis, 0, self.draw_axis))
+        rewind = jax.vmap(self.one.rewind, in_axes=(0, self.site_axis, 0, self.draws.run_axis))
         changed = rewind(self.params, self.site, state, self.to_runs(sensor_state.rotation))
         return select_tree(
             reading.opens_pass, (changed, self.sensors.start()), (state, sensor_state)
@@ -362,7 +351,7 @@ class TileRuns(NamedTuple):
     def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
         """Return the states of the method as fine alignment begins."""
         after = jax.vmap(
-            self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.draw_axis)
+            self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.draws.run_axis)
         )
         q = jax.vmap(self.spec.of_coarse_stage().program.attitude)(coarse_state)
         return after(self.params, self.site, q, self.to_runs(rotation))
@@ -372,7 +361,7 @@ class TileRuns(NamedTuple):
         method, params, axis = self.one.method, self.params.method, self.site_axis
         site = passes.site_of_pass(self.site, reading.backward)
         done = number * self.spec.interval_samples  # samples before this interval
-        step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draw_axis, None))
+        step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draws.run_axis, None))
 
         def n(place: Count) -> Scalar:
             return (done + place).astype(self.environment.dtype)
@@ -427,7 +416,7 @@ class TileRuns(NamedTuple):
         run = run._replace(state=self.fit_blocks(run.state, number))
         if turn is not None:
             q_true = rotations.multiply(q_true, turn)
-        observe = jax.vmap(self.one.observe, in_axes=(0, self.draw_axis, 0, None))
+        observe = jax.vmap(self.one.observe, in_axes=(0, self.draws.run_axis, 0, None))
         return observe(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
 
     def base_attitudes(self, interval: Intervals) -> Quat:
@@ -476,7 +465,7 @@ class TileRuns(NamedTuple):
 def set_up(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
     draws, one = derive_inputs(spec, environment, tile.draws), RunFunctions(spec, environment)
-    axis, to_runs = _draw_axis(draws), partial(broadcast_to_runs, tile.row)
+    axis, to_runs = draws.run_axis, partial(broadcast_to_runs, tile.row)
     params = jax.vmap(with_initial_errors, in_axes=(0, axis, axis, axis))(
         tile.params, *map(to_runs, (draws.phi, draws.ve, draws.vn))
     )
@@ -507,11 +496,6 @@ def with_initial_errors(
         angles = Vec3(*(jnp.where(params.euler, v, a) for v, a in pairs))
     ve, vn = params.ve if ve is None else ve, params.vn if vn is None else vn
     return params._replace(phi=angles, ve=ve, vn=vn)
-
-
-def _draw_axis(draws: Draw) -> int | None:
-    """Return the axis of what is broadcast from draws to runs; None for a single draw."""
-    return None if len(draws.draw_id) == 1 else 0
 
 
 def broadcast_to_runs(row: Array, tree: Any) -> Any:

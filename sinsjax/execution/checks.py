@@ -11,16 +11,14 @@ from sinsjax.engine.scenario import Scenario, read_site, start_samples
 from sinsjax.errors import InputError
 from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.messages import format_seconds
-from sinsjax.methods.filters.keys import update_variance
-from sinsjax.methods.filters.params import level_settling_s
 from sinsjax.methods.level import LEVEL
 from sinsjax.methods.plugins import check_plugin
-from sinsjax.methods.registry import METHODS, PACKAGES, REGISTRY
+from sinsjax.methods.registry import METHODS, PACKAGES
 from sinsjax.records import Record, RecordLayout, require_span
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
+from sinsjax.records.layout import Finding
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import sampling
-from sinsjax.study.filter_noise import noise_ratios_by_sensor, surge_noise_ratios
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.study import Study
@@ -28,7 +26,6 @@ from sinsjax.study.success import success_criteria
 from sinsjax.study.turns import data_end_s, useless_methods
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
-from sinsjax.value_types import keys_of
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _CHECKED_DRAWS = 1024  # draws in which a drawn period is checked
@@ -55,10 +52,10 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 
 def study_warnings(study: Study) -> list[str]:
     """Return warnings for the user before a simulated study runs, one line each."""
-    hidden_north_warning = hidden_north(study)
+    hidden = hidden_north(study)
     lines = [*_sway_warnings(study), *_surge_warnings(study)]
     lines += [*useless_methods(study), *band_warnings(study)]
-    return [*lines, *([str(hidden_north_warning)] if hidden_north_warning else [])]
+    return [*lines, *([hidden] if hidden else [])]
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
@@ -80,91 +77,13 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             continue
         batch = scenario.batch(number, range(1), blank=stored is None)
         check_plugin(
-            REGISTRY.label(spec.method),
+            f"method {spec.method!r} of {' '.join(PACKAGES[spec.method])}",
             spec.program,
             batch.params.method,
             batch.n_variants,
             batch.environment.site,
             passes=spec.passes,
         )
-
-
-def describe_process_noise(study: Study) -> str | None:
-    """Compare Q with the white noise of the sensors, as standard deviations, in one sentence.
-
-    The largest axis counts. None without a filter, or if not all draws have white noise.
-
-    Args:
-        study: checked study with simulated sensors.
-    """
-    ratios_by_sensor = noise_ratios_by_sensor(study)
-    phrases = {name: _format_ratios(ratios) for name, ratios in ratios_by_sensor.items() if ratios}
-    if not phrases:
-        return None
-    if len(phrases) == len(ratios_by_sensor) and len({*phrases.values()}) == 1:
-        phrase = phrases.popitem()[1]
-        return f"The filter assumes {phrase}the sensors'{'' if phrase else ' own'} noise" + (
-            ", in standard deviation" if phrase else ""
-        )
-    parts = (f"{phrase}the noise of the {name}" for name, phrase in phrases.items())
-    return f"The filter assumes {' and '.join(parts)}, in standard deviation"
-
-
-def _format_ratios(ratios: set[float]) -> str:
-    """Return ``100 times``, ``5 to 20 times``, or nothing for once, to precede a noun."""
-    text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
-    return "" if text == "1" else f"{text} times "
-
-
-def _format_range(numbers: set[float]) -> str:
-    return " to ".join(f"{number:,g}" for number in sorted({min(numbers), max(numbers)}))
-
-
-def describe_measurement_noise(study: Study) -> str | None:
-    """Compare R with the density of the surge, as variances, in one sentence.
-
-    The larger axis of east and north counts. None without a surge or without a filter that takes it
-    for measurement noise.
-
-    Args:
-        study: checked study with a simulated base.
-    """
-    ratios = surge_noise_ratios(study)
-    if not ratios:
-        return None
-    text = _format_range({float(f"{ratio:.2g}") for ratio in ratios})
-    return f"The filter's R is {text} times the density of the surge, in variance"
-
-
-def describe_feedback_interval(study: Study) -> str | None:
-    """Compare the time between feedbacks with the settling time of the filter's level.
-
-    None without a filter whose measured velocity observes the level angles alone.
-
-    Args:
-        study: checked study whose rate is known.
-    """
-    if not study.has("filter"):
-        return None
-    intervals_s: set[float] = set()
-    settling_s: set[float] = set()
-    level_keys = ("p0_velocity_m_per_s", "p0_level_deg")
-    r_keys = [key for key in keys_of(update_variance) if study.is_readable(key)]
-    for point in study.combinations("method", "feedback_interval_s", *level_keys, *r_keys):
-        method = METHODS[point["method"]]
-        if "filter" not in method.sections or "surge" in method.sections:
-            continue
-        intervals_s.add(point["feedback_interval_s"])
-        r = update_variance(study.rate_hz, *(point[key] for key in r_keys))
-        p0_velocity, p0_level = (point[key] for key in level_keys)
-        time_s = level_settling_s(study.rate_hz, p0_velocity, p0_level, r)
-        settling_s.add(float(f"{time_s:.2g}"))
-    if not intervals_s:
-        return None
-    return (
-        f"The filter feeds back every {_format_range(intervals_s)} s; its level settles in"
-        f" {_format_range(settling_s)} s (to a tenth of its initial standard deviation)"
-    )
 
 
 def record_layout(study: Study) -> RecordLayout:
@@ -207,39 +126,31 @@ def check_record(study: Study, stored: StoredRecord) -> RecordCheck:
             f" {key} = {layout.max_gap_s:g} s)"
         )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
-    expected = StationaryValues.with_biases(
+    expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),
         gyro_bias_deg_per_h=section.gyro_bias_deg_per_h,
         accel_bias_ug=section.accel_bias_ug,
     )
-    used, hides_north = _used_spans(study, record), ""
-    for anomaly in report_anomalies(record.anomalies, used):
-        text = f"{record.source}: {anomaly.text}"
-        if anomaly.hides_north:
-            hides_north = text
-        elif anomaly.is_certain and not section.trust:
-            raise InputError(f"{text} ({_TRUST_HINT})")
-        else:
-            lines.append(text)
-    constant_channels = [
-        anomaly.text
-        for anomaly in record.anomalies
-        if (anomaly.begin, anomaly.end) == (0, len(record.dv))
+    used, whole, hides_north = _used_spans(study, record), (0, len(record.dv)), ""
+    found: list[tuple[str, Finding]] = [
+        (record.source, anomaly) for anomaly in report_anomalies(record.anomalies, used)
     ]
-    for begin, end in used:
-        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in (begin, end))
+    for span in used:
+        begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in span)
         where = f"{record.source}: {begin_s} to {end_s} s"
-        for finding in check_stationary(record, (begin, end), layout, expected):
-            if finding.hides_north:
-                hides_north = hides_north or f"{where}: {finding.text}"
-            elif finding.is_certain and not section.trust:
-                # A constant channel may be the cause, and only this error is shown.
-                text = "; ".join([finding.text, *constant_channels])
-                raise InputError(f"{where}: {text} ({_TRUST_HINT})")
-            else:
-                lines.append(f"{where}: {finding.text}")
+        found += [(where, finding) for finding in check_stationary(record, span, layout, expected)]
+    for where, finding in found:
+        if finding.hides_north:
+            hides_north = hides_north or f"{where}: {finding.text}"
+        elif finding.is_certain and not section.trust:
+            # A constant channel may be the cause, and only this error is shown.
+            constant = (a.text for a in record.anomalies if (a.begin, a.end) == whole)
+            text = "; ".join(dict.fromkeys([finding.text, *constant]))
+            raise InputError(f"{where}: {text} ({_TRUST_HINT})")
+        else:
+            lines.append(f"{where}: {finding.text}")
     return RecordCheck(lines, hides_north)
 
 

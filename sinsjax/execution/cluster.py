@@ -8,13 +8,13 @@ scheduler stores it, and every worker process, early or late, reads it once.
 import logging
 import os
 import pickle
-import queue
 import threading
 import time
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import Future
+from contextlib import contextmanager
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -35,7 +35,7 @@ WORKER_TIMEOUT_S = 600.0
 TASKS_PER_THREAD = 2
 """Tasks submitted per worker thread, so that no thread waits for its next one."""
 
-_POLL_S = 2.0
+_POLL_S = 0.05
 _RETRIES = 2
 _INSTRUCTIONS = "instruction set"
 
@@ -56,30 +56,21 @@ def executor(*, scheduler: str) -> Iterator[Executor]:
             raises it if a task fails repeatedly.
     """
     try:
-        import distributed  # noqa: F401
+        from distributed.utils import silence_logging_cmgr
     except ImportError:
         text = '--scheduler needs Dask: pip install "sinsjax[cluster]"'
         raise InputError(text) from None
-    with ExitStack() as stack:
-        stack.enter_context(_silence_log())
-        workers = _Workers(stack.enter_context(_connect(scheduler)), scheduler)
-        stack.callback(workers.delete_job)
-        facts = workers.check()
-        yield Executor(workers.run_tasks, facts)
-
-
-@contextmanager
-def _silence_log() -> Iterator[None]:
-    """Silence Dask's log unless the user configures it; one line reports each expected event."""
-    import dask
-    from distributed.utils import silence_logging_cmgr
-
-    config, level = dask.config.config, logging.CRITICAL
-    if {"logging", "logging-file-config"} & {*config, *config.get("distributed", {})}:
-        yield
-        return
-    with silence_logging_cmgr(level), silence_logging_cmgr(level, "distributed.client"):
-        yield
+    none = logging.CRITICAL  # one line reports each expected event
+    with (
+        silence_logging_cmgr(none),
+        silence_logging_cmgr(none, "distributed.client"),
+        _connect(scheduler) as client,
+    ):
+        workers = _Workers(client, scheduler)
+        try:
+            yield Executor(workers.run_tasks, workers.check())
+        finally:
+            workers.delete_job()
 
 
 def _connect(address: str) -> Any:
@@ -87,26 +78,23 @@ def _connect(address: str) -> Any:
     from distributed import Client
     from distributed.versions import VersionMismatchWarning
 
-    answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    answer: Future[Any] = Future()
 
     def connect() -> None:
         try:
-            answers.put(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
+            answer.set_result(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
         except Exception as error:  # which one depends on what is wrong
-            answers.put(error)
+            answer.set_exception(error)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", VersionMismatchWarning)  # we compare those that matter
         # In a thread, since a client waits forever for a service that is silent or speaks HTTP.
         threading.Thread(target=connect, daemon=True).start()
         try:
-            answer = answers.get(timeout=CONNECT_TIMEOUT_S + 1.0)
-        except queue.Empty:
-            answer = TimeoutError("another service does, such as Dask's dashboard")
-    if isinstance(answer, Exception):
-        reason = first_error_line(answer)
-        raise InputError(f"{address}: no Dask scheduler answers there ({reason})")
-    return answer
+            return answer.result(CONNECT_TIMEOUT_S + 1.0)
+        except Exception as error:
+            reason = first_error_line(error) or "another service does, such as Dask's dashboard"
+            raise InputError(f"{address}: no Dask scheduler answers there ({reason})") from None
 
 
 class _Workers:
@@ -120,31 +108,24 @@ class _Workers:
         self._job: Any = None  # Dask variable with the job of this runner
         self._runner: TaskRunner | None = None
 
-    @contextmanager
-    def _report_loss(self) -> Iterator[None]:
-        try:
-            yield
-        except InputError:
-            raise
-        except Exception as error:  # Dask raises many different ones
-            kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
-            raise InputError(f"{self._address}: lost the scheduler ({kept})") from error
-
     def check(self) -> dict[str, Any]:
         """Wait for workers, compare them, and return facts about them."""
-        with self._report_loss():
+        try:
             while not self._count_threads():
-                time.sleep(_POLL_S / 10)
-            # Through Dask first: workers may have another sinsjax, or none.
-            versions = self._client.get_versions(packages=list(runtime.RESULT_PACKAGES))
-            here = versions["client"]["packages"]
-            self._required = {name: here[name] for name in runtime.RESULT_PACKAGES}
-            for worker, installed in versions["workers"].items():
-                _check_same(worker, installed["packages"], self._required)
-            sets = self._client.run(xla.instruction_set)
-        instructions = self._required[_INSTRUCTIONS] = sets[min(sets)]
-        for worker in sets:
-            _check_same(worker, {_INSTRUCTIONS: sets[worker]}, {_INSTRUCTIONS: instructions})
+                time.sleep(_POLL_S)
+            installed = self._client.run(_describe_process)
+        except InputError:
+            raise
+        except Exception as error:  # workers may have another sinsjax, or none
+            text = f"its workers cannot run sinsjax: {first_error_line(error)}"
+            raise InputError(
+                f"{self._address}: {text} (install the same version on every worker)"
+            ) from error
+        here, instructions = runtime.relevant_versions(), installed[min(installed)][_INSTRUCTIONS]
+        self._required = {name: here[name] for name in runtime.RESULT_PACKAGES}
+        self._required[_INSTRUCTIONS] = instructions
+        for worker, found in installed.items():
+            _check_same(worker, found, self._required)
         return {
             "workers": len(self._threads),
             "threads": sum(self._threads.values()),
@@ -154,38 +135,38 @@ class _Workers:
 
     def run_tasks(self, runner: TaskRunner, tasks: Iterable[Task]) -> Iterator[TaskResult]:
         """Run tasks, see `Executor`."""
+        from distributed import as_completed
+
         required = self._required | packages_of(runner.job.study.methods)
-        remaining, pending = iter(tasks), dict[Any, Task]()
+        remaining, running = iter(tasks), dict[Any, Task]()
+        completed = as_completed(loop=self._client.loop)
         try:
-            with self._report_loss():
-                run = partial(run_task_on_worker, self._share_job(runner), required)
-                while True:
-                    room = TASKS_PER_THREAD * max(1, sum(self._count_threads().values()))
-                    batch = list(islice(remaining, max(0, room - len(pending))))
-                    futures = self._client.map(run, batch, pure=False, retries=_RETRIES)
-                    pending |= zip(futures, batch, strict=True)
-                    if not pending:
-                        return
-                    for future in self._wait(pending):
-                        result = _task_result(pending.pop(future), future)
-                        future.release()  # or Dask computes it again if its worker is lost
-                        yield result
+            run = partial(run_task_on_worker, self._share_job(runner), required)
+            while True:
+                room = TASKS_PER_THREAD * max(1, self._count_threads()) - len(running)
+                batch = list(islice(remaining, max(0, room)))
+                futures = self._client.map(run, batch, pure=False, retries=_RETRIES)
+                running |= zip(futures, batch, strict=True)
+                completed.update(futures)
+                if not running:
+                    return
+                if not completed.has_ready():
+                    time.sleep(_POLL_S)
+                for future in completed.next_batch(block=False):
+                    result = _task_result(running.pop(future), future)
+                    future.release()  # or Dask computes it again if its worker is lost
+                    yield result
+        except (InputError, GeneratorExit):
+            raise
+        except Exception as error:  # Dask raises many different ones
+            kept = "completed chunks are stored: repeat with --resume, in Python resume=True"
+            raise InputError(f"{self._address}: lost the scheduler ({kept})") from error
         finally:
-            if pending and self._client.status == "running":
-                self._client.cancel(list(pending))
+            if running and self._client.status == "running":
+                self._client.cancel(list(running))
 
-    def _wait(self, pending: Iterable[Any]) -> Iterable[Any]:
-        """Return futures that are done, soon also if there are none."""
-        from distributed import wait
-
-        try:
-            with self._client.as_current():
-                return wait(list(pending), _POLL_S, "FIRST_COMPLETED").done
-        except TimeoutError:
-            return ()
-
-    def _count_threads(self) -> dict[str, int]:
-        """Return the number of threads per worker; warn about lost and missing workers."""
+    def _count_threads(self) -> int:
+        """Return the number of threads; warn about lost and missing workers."""
         before, self._threads = self._threads, dict(self._client.nthreads())
         for worker in sorted(before.keys() - self._threads):
             text = f"worker lost, its tasks run again ({len(self._threads)} left)"
@@ -201,7 +182,7 @@ class _Workers:
                 f"{self._address}: no workers (waiting up to {WORKER_TIMEOUT_S / 60:g} min; start"
                 f" one: dask worker {self._address})"
             )
-        return self._threads
+        return sum(self._threads.values())
 
     def _share_job(self, runner: TaskRunner) -> str:
         """Store the job of a runner on the scheduler, once; return the variable's name."""
@@ -253,6 +234,11 @@ _runners: dict[str, TaskRunner] = {}  # of this process, by job name; at most on
 _prepare_lock = threading.Lock()
 
 
+def _describe_process() -> dict[str, str]:
+    """Return the versions and the instruction set of this process."""
+    return runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
+
+
 def run_task_on_worker(job_name: str, required: Mapping[str, str], task: Task) -> TaskResult:
     """Run a task on a Dask worker.
 
@@ -277,9 +263,8 @@ def _make_runner(job_name: str, required: Mapping[str, str]) -> TaskRunner:
     import jax
     from distributed import Variable, get_worker
 
-    installed = runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
     # Before unpickling, which needs the packages.
-    _check_same(get_worker().address, installed, required)
+    _check_same(get_worker().address, _describe_process(), required)
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import filelock
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AliasPath, BaseModel, ConfigDict, Field, ValidationError
 
 from sinsjax import columns
 from sinsjax.errors import InputError
@@ -24,18 +24,14 @@ from sinsjax.messages import explain_error, shorten, to_one_line
 from sinsjax.platform.files import make_folder, read_regular_file, unwritable_message
 
 MANIFEST, STUDY, LOCK = "manifest.json", "study.toml", ".lock"
-ESTIMATES = "estimates"
-"""Dataset of version 1.0, which is not read any more; it is removed with the other results."""
-
-DATASETS = ("summary", "curves", ESTIMATES)
+DATASETS = ("summary", "curves")
 """A part of the summary is written last: it implies its counterpart in the curves."""
 
 RERUN_FILES = ("summary.parquet", "curve.parquet", "curve.png")
 """Files of a repeated run."""
 
-_FORMER_FILES = (".writer", ".figures.json")  # of version 1.0
 _TUNING = ("tuned.toml", "history.parquet", "grid", "sobol", "evaluation")
-_NAMES = (MANIFEST, STUDY, LOCK, *DATASETS, "figures", "reruns", *_TUNING, *_FORMER_FILES)
+_NAMES = (MANIFEST, STUDY, LOCK, *DATASETS, "figures", "reruns", *_TUNING)
 _FIGURE_MARK = b"Software\0sinsjax"  # as `plots.render_png` writes it, before the pixels
 
 
@@ -58,6 +54,8 @@ class Manifest(BaseModel):
         warnings: doubts about the study before it ran, one line each.
         record_latitude_deg: latitude in the record's header, deg.
         study: sections of the resolved study.
+        draws: number of draws of that study; None for a record.
+        external: programs outside sinsjax of that study.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -77,6 +75,10 @@ class Manifest(BaseModel):
     warnings: list[str] = []
     record_latitude_deg: float | None = None
     study: dict[str, Any] = {}
+    draws: int | None = Field(default=None, validation_alias=AliasPath("study", "study", "draws"))
+    external: tuple[str, ...] = Field(
+        default=(), validation_alias=AliasPath("study", "study", "external")
+    )
 
     @classmethod
     def read(cls, directory: Path) -> "Manifest":
@@ -86,24 +88,13 @@ class Manifest(BaseModel):
             return cls.model_validate(entries)
         except ValidationError as error:
             first = error.errors()[0]
-            text = f"{'.'.join(map(str, first['loc']))}: {explain_error(first)}"
-            raise DamagedError(
-                f"{directory / MANIFEST}: {to_one_line(text)} (`--resume` writes it again)"
-            ) from None
+            text = to_one_line(f"{'.'.join(map(str, first['loc']))}: {explain_error(first)}")
+            raise DamagedError(f"{directory / MANIFEST}: {text}") from None
 
     @classmethod
     def find(cls, directory: Path) -> "Manifest | None":
-        """Return the manifest of a results directory; None if it is missing or damaged.
-
-        Raises:
-            InputError: it cannot be read, or another version wrote it (`OtherVersionError`).
-        """
-        if not (directory / MANIFEST).exists():
-            return None
-        try:
-            return cls.read(directory)
-        except DamagedError:
-            return None
+        """Return the manifest of a results directory, None without one; refused as by `read`."""
+        return cls.read(directory) if (directory / MANIFEST).exists() else None
 
 
 class OtherVersionError(InputError):
@@ -134,12 +125,10 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     try:
         manifest = sealed.read_sealed_json(directory / MANIFEST)
     except FileNotFoundError:
-        text = f"contains no results ({MANIFEST} is missing)"
-        if any(list_parts(directory, name) for name in DATASETS):
-            text = f"{MANIFEST} is missing (`--resume` writes it again)"
-        raise InputError(f"{directory}: {text}") from None
+        raise InputError(f"{directory}: contains no results ({MANIFEST} is missing)") from None
     except DamagedError as error:
-        raise DamagedError(f"{error} (`--resume` writes it again)") from None
+        remedy = "restore it; `sinsjax.read_summary` with verify=False reads the rows"
+        raise DamagedError(f"{error} ({remedy})") from None
     schema = shorten(to_one_line(str(manifest.get("schema", columns.SCHEMA_VERSION))), 20)
     if schema != columns.SCHEMA_VERSION:
         versions = manifest.get("versions")
@@ -204,10 +193,6 @@ def lock_directory(directory: Path) -> filelock.FileLock:
     """
     make_folder(directory)
     check_directory(directory)
-    return _acquire_lock(directory)
-
-
-def _acquire_lock(directory: Path) -> filelock.FileLock:
     file_lock = filelock.FileLock(directory / LOCK)
     try:
         file_lock.acquire(blocking=False)
@@ -229,7 +214,7 @@ def check_unlocked(directory: Path) -> None:
     """
     check_directory(directory)
     if (directory / LOCK).exists():
-        _acquire_lock(directory).release()
+        lock_directory(directory).release()
 
 
 # --- the files that sinsjax wrote; it removes no others -------------------------------------------
@@ -251,8 +236,7 @@ def owned_files(directory: Path) -> list[Path]:
     parts = (path for name in DATASETS for path in list_parts(directory, name))
     numbers = (path for path in directory.glob("reruns/*") if re.fullmatch(r"\d+", path.name))
     reruns = (path / name for path in numbers if not path.is_symlink() for name in RERUN_FILES)
-    files = (directory / name for name in (STUDY, *_FORMER_FILES))
-    named = (path for path in (*reruns, *files) if path.is_file())
+    named = (path for path in (*reruns, directory / STUDY) if path.is_file())
     return [*parts, *named, *_list_figures(directory)]
 
 

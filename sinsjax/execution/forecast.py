@@ -70,11 +70,6 @@ class Forecast(NamedTuple):
     start_s: float = _START_S
     folders: tuple[str, ...] = ("",)
 
-    def seconds(self, cores: int, done: int = 0) -> tuple[float, float]:
-        """Return the time if all programs are in the compile cache, and if none is, s."""
-        seconds = self.start_s + max(0, self.runs - done) * self.run_s / cores
-        return seconds, seconds + self.compile_s / min(cores, self.programs)
-
     def describe(self, cores: int, done: int = 0, *, threads: bool = False) -> str:
         """Return one line for a user: the runs, the remaining time, memory and disk space.
 
@@ -91,11 +86,13 @@ class Forecast(NamedTuple):
             runs += f", {remaining:,} left"
         prefix = "At most " if self.least_runs < self.runs else ""
         processors = format_count(cores, "worker thread" if threads else "core")
-        later, first = map(_format_duration, self.seconds(cores, done))
-        programs = format_count(self.programs, "program")
+        later_s = self.start_s + remaining * self.run_s / cores
+        first_s = later_s + self.compile_s / min(cores, self.programs)
+        later, first = map(_format_duration, (later_s, first_s))
         return (
             f"{prefix}{runs}: roughly {later} on {processors} ({first} the first time, which"
-            f" compiles {programs}), {format_bytes(self.memory)} of memory,"
+            f" compiles {format_count(self.programs, 'program')}),"
+            f" {format_bytes(self.memory)} of memory,"
             f" {format_bytes(remaining * self.run_bytes)}{' more' if done else ''} on disk"
         )
 
@@ -151,13 +148,13 @@ def forecast_tuning(study: Study) -> Forecast:
 
 
 def check_resources(
-    study: Study, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
+    name: str, forecast: Forecast, directory: Path | None, *, overwrite: bool, resume: bool
 ) -> None:
     """Reject a study that exceeds disk or memory; a resumed one needs only its missing runs.
 
     Args:
-        study: checked study.
-        forecast: forecast of the study.
+        name: name of the study.
+        forecast: its forecast.
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed first.
         resume: whether existing results are kept.
@@ -181,8 +178,8 @@ def check_resources(
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
-            f"{study.name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of"
-            f" memory, but this machine has only {format_bytes(available)}"
+            f"{name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of memory,"
+            f" but this machine has only {format_bytes(available)}"
         )
 
 

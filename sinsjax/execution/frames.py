@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from sinsjax.errors import InputError
@@ -48,57 +47,39 @@ def to_dataset(study: Study, table: pa.Table) -> Any:
         InputError: xarray is not installed, or draws lack some variants.
     """
     try:
-        import xarray
+        import xarray  # noqa: F401  (pandas needs it)
     except ImportError:
         raise _missing_library_error("xarray") from None
-    draws = np.unique(table["draw_id"].to_numpy())
-    if table.num_rows != len(draws) * study.n_variants:
-        present = f"{format_count(table.num_rows, 'run')} of {format_count(len(draws), 'draw')}"
+    table = table.sort_by("run_id")
+    frame = to_dataframe(table).rename(columns={"draw_id": "draw"})
+    draws = frame["draw"].nunique()
+    if len(frame) != draws * study.n_variants:
+        present = f"{format_count(len(frame), 'run')} of {format_count(draws, 'draw')}"
         text = f"some variants are missing ({present}; to_pandas returns the rows that exist)"
         raise InputError(f"{study.name}: {text}")
-    table = table.sort_by("run_id")
-    dimensions: dict[str, Any] = {
-        keys[0]: d for keys, d in zip(study.axes_shown, study.dimensions, strict=True)
-    }
+    for field in table.schema:
+        if pa.types.is_string(field.type) or pa.types.is_list(field.type):
+            frame[field.name] = [_format_value(value) for value in table[field.name].to_pylist()]
+        elif pa.types.is_boolean(field.type) and table[field.name].null_count:
+            frame[field.name] = frame[field.name].astype(float)
+    # The keys of each dimension, called as the first of them.
+    dimensions = {keys[0]: [*d] for keys, d in zip(study.axes_shown, study.dimensions, strict=True)}
     if any(len(keys) > 1 for keys in study.axes_shown):
-        dimensions = {"variant": dict.fromkeys(study.axis_keys, range(study.n_variants))}
-    shape = {"draw": len(draws)}
-    shape |= {name: len(next(iter(keys.values()))) for name, keys in dimensions.items()}
-    values = {
-        name: _column_values(table[name]).reshape(*shape.values()) for name in table.column_names
-    }
-    keys_of = {"draw": ["start_s"] if study.is_recorded else [], **dimensions}
-    coordinates = {"draw": ("draw", draws)}
-    if "variant" in dimensions:
-        coordinates["variant"] = ("variant", np.arange(study.n_variants))
-    for axis, (dimension, keys) in enumerate(keys_of.items()):
-        for key in keys:
-            along = np.moveaxis(values[key], axis, 0).reshape(shape[dimension], -1)[:, 0]
-            coordinates[key] = (dimension, along)
-    variables = {
-        name: (tuple(shape), array)
-        for name, array in values.items()
-        if name not in {*coordinates, "draw_id", "variant_id"}
-    }
-    dataset = xarray.Dataset(variables, coordinates, {"title": study.name})
-    for name in {*table.column_names} & dataset.variables.keys():
-        field = table.schema.field(name)
-        attributes = {
-            "units": _field_metadata(field, "unit"),
-            "long_name": _field_metadata(field, "meaning"),
-        }
-        dataset[name].attrs |= {key: text for key, text in attributes.items() if text}
+        frame["variant"] = frame["variant_id"]
+        dimensions = {"variant": [*study.axis_keys]}
+    dimensions = {"draw": ["start_s"] if study.is_recorded else [], **dimensions}
+    order = {name: frame[name].unique() for name in dimensions}
+    dataset = frame.drop(columns="variant_id").set_index([*order]).to_xarray().reindex(order)
+    for name, keys in dimensions.items():
+        others = dict.fromkeys(order.keys() - {name}, 0)
+        for key in set(keys) - {name}:
+            dataset = dataset.assign_coords({key: dataset[key].isel(others, drop=True)})
+    dataset.attrs = {"title": study.name}
+    for name, unit in frame.attrs["units"].items():
+        if name in dataset.variables:
+            texts = {"units": unit, "long_name": frame.attrs["meanings"][name]}
+            dataset[name].attrs = {key: text for key, text in texts.items() if text}
     return dataset
-
-
-def _column_values(column: pa.ChunkedArray) -> np.ndarray:
-    """Return a column as an array: numbers, NaN if null, or text."""
-    if pa.types.is_string(column.type) or pa.types.is_list(column.type):
-        return np.array([_format_value(value) for value in column.to_pylist()])
-    if column.null_count and not pa.types.is_floating(column.type):
-        column = column.cast(pa.int8() if pa.types.is_boolean(column.type) else column.type)
-        column = column.cast(pa.float64())
-    return column.to_numpy()
 
 
 def _format_value(value: Any) -> str:

@@ -1,7 +1,7 @@
 """Whether the gyro biases of a study's runs hide the rotation of the Earth, and so north."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,35 +17,12 @@ _MOST_DRAWS = 4096  # draws, of a study with more
 _BLOCK = 256  # draws averaged at a time: some 10 MB
 
 
-class HiddenNorth(NamedTuple):
-    """The run whose level gyro bias most exceeds the north component of the Earth rate.
-
-    Attributes:
-        bias_deg_per_h: its level gyro bias, averaged over the motion.
-        rate_deg_per_h: Omega cos L.
-        runs: number of runs whose bias exceeds their rate.
-        of_runs: number of runs examined: all, or those of the first 4,096 draws.
-    """
-
-    bias_deg_per_h: float
-    rate_deg_per_h: float
-    runs: int
-    of_runs: int
-
-    def __str__(self) -> str:
-        """Return a warning in one sentence."""
-        return (
-            f"the level gyro bias is up to {self.bias_deg_per_h:.3g} deg/h, the level part of the"
-            f" Earth rate {self.rate_deg_per_h:.3g} deg/h: {self.runs:,} of {self.of_runs:,} runs"
-            " cannot find north (status no_north)"
-        )
-
-
-def hidden_north(study: Study) -> HiddenNorth | None:
-    """Return the worst run whose level gyro bias exceeds Omega cos L, None if there is none.
+def hidden_north(study: Study) -> str | None:
+    """Return a warning if the level gyro bias of some runs exceeds Omega cos L, None if none does.
 
     Such a run cannot find north, since the measured rate may point anywhere. The gyro biases are
-    averaged over the motion, as in its bias floor; turns average them out.
+    averaged over the motion, as in its bias floor; turns average them out. Of many draws the first
+    4,096 are examined.
 
     Args:
         study: checked study; the biases of a recorded one are unknown.
@@ -58,41 +35,41 @@ def hidden_north(study: Study) -> HiddenNorth | None:
     drawn = sampling.drawn_values(study, draws)
     drawn = {key: values for key, values in drawn.items() if key in keys}
     codes, points = study.coded(*keys)
-    worst, runs = (0.0, 0.0, 0.0), 0
+    worst, runs = (0.0, 0.0, 0.0), 0  # ratio, bias and rate; deg/h
     for values, count in zip(points, np.bincount(codes, minlength=len(points)), strict=True):
         point = dict(zip(keys, values, strict=True)) | drawn
         if point["turn_times_s"] or point["attitude_file"]:
             continue
-        biases, rates = _level_bias(point, draws if drawn else 1)
+        n = draws if drawn else 1
+        rate = earth_rate(point["earth"], point["earth_rate_deg_per_h"]) / DEG_PER_H
+        rates = np.broadcast_to(rate * np.cos(np.asarray(point["latitude_deg"], float) * DEG), n)
+        biases = _level_bias(point, n, rates)
         hidden = biases > rates
-        runs += int(count) * int(hidden.sum()) * (draws // len(hidden))
+        runs += int(count) * int(hidden.sum()) * (draws // n)
         at = int(np.argmax(biases / rates))
         if hidden[at]:
             worst = max(worst, (biases[at] / rates[at], float(biases[at]), float(rates[at])))
-    bias, rate = (rad_per_s / DEG_PER_H for rad_per_s in worst[1:])
-    return HiddenNorth(bias, rate, runs, draws * study.n_variants) if runs else None
+    if not runs:
+        return None
+    return (
+        f"the level gyro bias is up to {worst[1]:.3g} deg/h, the level part of the Earth rate"
+        f" {worst[2]:.3g} deg/h: {runs:,} of {draws * study.n_variants:,} runs cannot find north"
+        " (status no_north)"
+    )
 
 
-class _Rates(NamedTuple):
-    """Level gyro bias and Omega cos L of some draws, rad/s, (draws,)."""
+def _level_bias(values: Mapping[str, Any], draws: int, rates: np.ndarray) -> np.ndarray:
+    """Return the level gyro bias of some draws at a point of a sweep, (draws,), deg/h.
 
-    bias: np.ndarray
-    north: np.ndarray
-
-
-def _level_bias(values: Mapping[str, Any], draws: int) -> _Rates:
-    """Return level gyro bias and Omega cos L at a point of a sweep.
-
-    A bias below Omega cos L as a whole is returned in place of its level part.
+    A bias that is below the rate as a whole is returned in place of its level part.
     """
-    rate = earth_rate(values["earth"], values["earth_rate_deg_per_h"])
-    rate_n = np.broadcast_to(rate * np.cos(np.asarray(values["latitude_deg"], float) * DEG), draws)
-    bias = np.broadcast_to(read_errors(values.get, 1.0, 1.0).gyro_bias, (draws, 3))
+    gyro_bias = read_errors(values.get, 1.0, 1.0).gyro_bias / DEG_PER_H
+    bias = np.broadcast_to(gyro_bias, (draws, 3))
     level = np.linalg.norm(bias, axis=-1)
     motion = jax.tree.map(lambda a: np.broadcast_to(a, draws), read_sways(values.get))
-    doubtful = np.flatnonzero(level > rate_n)
+    doubtful = np.flatnonzero(level > rates)
     for block in np.split(doubtful, range(_BLOCK, len(doubtful), _BLOCK)):
         here = jax.tree.map(lambda a, block=block: a[block], motion)
         turned = (mean_attitude(here) @ bias[block][..., None])[..., 0]
         level[block] = np.hypot(turned[:, 0], turned[:, 1])
-    return _Rates(level, rate_n)
+    return level

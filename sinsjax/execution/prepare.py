@@ -46,6 +46,7 @@ class RunOptions(NamedTuple):
 
 
 _DEFAULTS = RunOptions()
+_TUNE_IGNORED = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
 
 
 def prepare_job(
@@ -79,7 +80,8 @@ def prepare_job(
     job = add_record(job, record, reference, checks.level_only)
     if job.directory is not None and job.resume:
         job = resume.continue_job(job)
-    job = job._replace(notes=(*list_ignored_sections(job.study), *job.notes))
+    if job.study.tune:
+        job = job._replace(notes=(_TUNE_IGNORED, *job.notes))
     return finish_job(job, forecast.forecast_sweep(job.study, job.curves))
 
 
@@ -122,7 +124,6 @@ def load_job(
         directory=path,
         overwrite=options.overwrite,
         resume=options.resume,
-        manifest_state=None if path is None else resume.manifest_state(path),
         source=_source_label(source, options.source),
         notes=tuple(notes),
     )
@@ -163,7 +164,7 @@ def finish_job(job: Job, expected_cost: Forecast) -> Job:
     study, notes = job.study, list(job.notes)
     read_attitude(study)
     forecast.check_resources(
-        study, expected_cost, job.directory, overwrite=job.overwrite, resume=job.resume
+        study.name, expected_cost, job.directory, overwrite=job.overwrite, resume=job.resume
     )
     checks.check_plugins(study, job.stored)
     doubts = job.warnings if study.is_recorded else tuple(checks.study_warnings(study))
@@ -203,25 +204,14 @@ def _source_label(source: Path | str | Study, label: Path | str | None) -> str |
     return label
 
 
-def list_ignored_sections(study: Study) -> list[str]:
-    """Return a line if a study that is not tuned has [tune]."""
-    text = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
-    return [text] if study.tune else []
-
-
-def issue_warnings(job: Job, *, tunes: bool = False) -> Job:
+def issue_warnings(job: Job) -> Job:
     """Issue the warnings of a prepared job as Python warnings, and return the job.
-
-    Args:
-        job: prepared job.
-        tunes: whether it is a tuning run.
 
     Warns:
         StudyWarning: one per doubt, one for keys without effect, and one for an ignored [tune].
     """
-    ignored = [] if tunes else list_ignored_sections(job.study)
-    idle = list_idle_keys(job.study)
-    for line in (*job.warnings, *idle, *ignored):
+    ignored = [note for note in job.notes if note == _TUNE_IGNORED]
+    for line in (*job.warnings, *list_idle_keys(job.study), *ignored):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 
@@ -243,12 +233,7 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     subdirectory = job.directory / name
     directory.check_unlocked(subdirectory)
     resume.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
-    job = job._replace(
-        study=study,
-        curves=False,
-        directory=subdirectory,
-        manifest_state=resume.manifest_state(subdirectory),
-    )
+    job = job._replace(study=study, curves=False, directory=subdirectory)
     return resume.continue_job(job) if job.resume else job
 
 

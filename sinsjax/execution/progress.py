@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
@@ -108,27 +108,27 @@ def show_progress(
         name: name of the study.
         after_s: time to wait first, s; nothing is shown of what ends before.
     """
-    display = (_BarDisplay if console.is_terminal else _LineDisplay)(console, name)
+    display = _Display(console, name)
     timer = threading.Timer(after_s, display.start)
     timer.daemon = True
-    if after_s:
-        timer.start()
-    else:
-        display.start()
+    timer.start()
+    if not after_s:
+        timer.join()
     try:
         yield display.update
     finally:
-        if after_s:
-            timer.cancel()
-            timer.join()
+        timer.cancel()
+        timer.join()
         display.stop()
 
 
-class _BarDisplay:
-    """A bar with the runs, their rate and the time left."""
+class _Display:
+    """A bar, or lines, with the runs, their rate and the time left."""
 
     def __init__(self, console: Console, name: str) -> None:
-        self._name, self._pace = name, _Pace()
+        self._console, self._name, self._started = console, name, False
+        self._first: tuple[float, int] | None = None  # end of the first chunk, and runs by then
+        self._last_s, self._tenth, self._line = time.monotonic(), -1, ""
         self._bar = Bar(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -136,73 +136,50 @@ class _BarDisplay:
             TextColumn("{task.fields[counted]}{task.fields[pace]}"),
             console=console,
         )
-        text = f"{name} (compiling)"
-        self._task = self._bar.add_task(text, total=None, counted="runs", pace="")
+        self._task = self._bar.add_task(f"{name} (compiling)", total=None, counted="runs", pace="")
 
     def start(self) -> None:
-        self._bar.start()
+        self._started = True
+        if self._console.is_terminal:
+            self._bar.start()
 
     def stop(self) -> None:
+        self._started = False
         if self._bar.live.is_started:
             self._bar.stop()
 
     def update(self, now: RunProgress) -> None:
-        pace = self._pace.format(now)
-        self._bar.update(
-            self._task,
-            description=self._name if pace else f"{self._name} ({now.compiling})",
-            completed=now.done,
-            total=now.total,
-            counted=now.unit,
-            pace=pace,
-        )
+        pace = self._format_pace(now)
+        if self._console.is_terminal:
+            self._bar.update(
+                self._task,
+                description=self._name if pace else f"{self._name} ({now.compiling})",
+                completed=now.done,
+                total=now.total,
+                counted=now.unit,
+                pace=pace,
+            )
+        elif self._started:
+            self._print_if_due(now, pace)
 
-
-class _LineDisplay:
-    """Lines with the runs, their rate and the time left."""
-
-    def __init__(self, console: Console, name: str) -> None:
-        self._console, self._name, self._pace = console, name, _Pace()
-        self._started, self._tenth, self._compiling = False, -1, ""
-        self._last_s = time.monotonic()
-
-    def start(self) -> None:
-        self._started = True
-
-    def stop(self) -> None:
-        self._started = False
-
-    def update(self, now: RunProgress) -> None:
-        pace = self._pace.format(now)
-        if not self._started:
-            return
-        if now.begins and now.compiled < now.programs > 1:
-            if self._compiling != (compiling := now.compiling):
-                self._compiling = compiling
-                self._print(compiling)
-            return
+    def _print_if_due(self, now: RunProgress, pace: str) -> None:
         tenth, clock = now.done * 10 // now.total, time.monotonic()
-        if now.begins:
-            due = now.done_before > 0
+        line = f"{now.done:,} of {now.total:,} {now.unit}{pace}"
+        if now.begins and now.compiled < now.programs > 1:
+            due, line = self._line != now.compiling, now.compiling
+        elif now.begins:
+            due, line = now.done_before > 0, f"{line} already done"
         else:
             due = tenth != self._tenth or clock >= self._last_s + _PLAIN_EVERY_S
         if due:
-            self._tenth, self._last_s = tenth, clock
-            pace = " already done" if now.begins else pace
-            self._print(f"{now.done:,} of {now.total:,} {now.unit}{pace}")
+            self._tenth, self._last_s, self._line = tenth, clock, line
+            screen.print_line(self._console, f"{self._name}: {line}")
 
-    def _print(self, text: Any) -> None:
-        screen.print_line(self._console, f"{self._name}: {text}")
+    def _format_pace(self, now: RunProgress) -> str:
+        """Return the rate, time left and failures as text; empty before the first chunk.
 
-
-class _Pace:
-    """The rate of runs since the first chunk ended; the time before is mostly compilation."""
-
-    def __init__(self) -> None:
-        self._first: tuple[float, int] | None = None
-
-    def format(self, now: RunProgress) -> str:
-        """Return the rate, time left and failures as text; empty before the first chunk."""
+        The rate is that since the first chunk: the time before is mostly compilation.
+        """
         if now.begins:
             return ""
         clock = time.monotonic()
@@ -211,11 +188,7 @@ class _Pace:
         if clock < since + _MEASURED_S or now.done == done:
             return failed
         rate = (now.done - done) / (clock - since)
-        left = _format_duration((now.total - now.done) / rate)
+        minutes, s = divmod(round((now.total - now.done) / rate), 60)
+        hours, m = divmod(minutes, 60)
+        left = f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"
         return f", {rate:,.0f} {now.unit}/s, {left} left{failed}"
-
-
-def _format_duration(seconds: float) -> str:
-    minutes, s = divmod(round(seconds), 60)
-    hours, m = divmod(minutes, 60)
-    return f"{hours}:{m:02d}:{s:02d}" if hours else f"{m}:{s:02d}"

@@ -15,14 +15,11 @@ from sinsjax.engine.batch import Chunks
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
-from sinsjax.execution.directory import RERUN_FILES, Manifest
+from sinsjax.execution.directory import RERUN_FILES
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
-from sinsjax.messages import to_one_line
-from sinsjax.methods.registry import packages_of
-from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
@@ -84,7 +81,8 @@ def rerun_stored_run(
         InputError: there are no results or no such run, the record is a different one, or the
             files cannot be written.
     """
-    study, manifest = Results.read(directory).study, Manifest.read(directory)
+    results = Results.read(directory)
+    study, manifest = results.study, results.manifest
     refuse_external(study.study.external, directory)
     if files[0] is None and files[1] is not None:
         raise InputError("--reference: requires --record")
@@ -97,29 +95,24 @@ def rerun_stored_run(
     if not 0 <= run_id < runs:
         raise InputError(f"{directory}: has no run {run_id} (runs are numbered 0 to {runs - 1})")
     stored = read_summary(directory, run_ids=[run_id], verify=False)  # verified above
-    if not stored.num_rows:
-        raise InputError(f"{directory}: run {run_id} has no row yet (continue with `--resume`)")
-    if stored.num_rows > 1:
-        text = f"has {stored.num_rows} rows of run {run_id}: a foreign part is among them"
-        raise InputError(f"{directory / 'summary'}: {text}")
+    if stored.num_rows != 1:
+        text = f"has {stored.num_rows} rows of run {run_id} (`--resume` computes missing ones)"
+        raise InputError(f"{directory}: {text}")
     if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
         raise InputError(f"{out}: already contains {existing[0]} (give another directory)")
     target = directory / "reruns" / str(run_id) if out is None else out
-    if target.is_symlink() and out is None:
-        raise InputError(f"{target}: is a symbolic link (remove it, or give another directory)")
     repeated = repeat_run(study, run_id, record)
     _write_rerun(target, repeated, study)
     (before,), (now,) = stored.to_pylist(), repeated.row.to_pylist()
-    differing = [name for name in before | now if before.get(name) != now.get(name)]
     width = max(map(len, now))
     for line in [
         *(f"{name:>{width}}  {value}" for name, value in now.items()),
         "",
-        _describe_comparison(before, now, differing, manifest),
+        _describe_comparison(before, now),
         f"Row, curve and figure: {target}",
     ]:
         screen.print_line(console, line)
-    return not differing
+    return before == now
 
 
 def _write_rerun(target: Path, run: Rerun, study: Study) -> None:
@@ -132,26 +125,15 @@ def _write_rerun(target: Path, run: Rerun, study: Study) -> None:
         file.write(plots.render_png(plots.plot_curves(run.curve, run.row, title=title)))
 
 
-def _describe_comparison(
-    stored: dict[str, Any], repeated: dict[str, Any], differing: list[str], manifest: Manifest
-) -> str:
-    """Return whether two rows are identical, or where they differ and which versions do."""
+def _describe_comparison(stored: dict[str, Any], repeated: dict[str, Any]) -> str:
+    """Return whether two rows are identical, or where they differ."""
+    differing = [name for name in stored | repeated if stored.get(name) != repeated.get(name)]
     if not differing:
         return f"The row is identical to the stored one in all {len(stored)} columns."
     examples = ", ".join(
         f"{name} {stored.get(name)} there, {repeated.get(name)} here" for name in differing[:3]
     )
-    current = runtime.relevant_versions() | packages_of([repeated["method"]])
-    versions = [
-        f"{name} {to_one_line(manifest.versions[name])} (here {current[name]})"
-        for name in current
-        if manifest.versions.get(name, current[name]) != current[name]
-    ]
-    cause = (
-        "Last bits depend on jaxlib, its flags and the processor; `manifest.json` lists those of"
-        " the stored row."
+    return (
+        f"{len(differing)} of {len(stored)} columns differ from the stored row: {examples}. Last"
+        " bits depend on the versions, flags and processor that `manifest.json` lists."
     )
-    if versions:
-        cause = f"The stored row was computed with {', '.join(versions)}."
-    summary = f"{len(differing)} of {len(stored)} columns differ from the stored row"
-    return f"{summary}: {examples}. {cause}"

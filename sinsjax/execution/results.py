@@ -17,7 +17,6 @@ from sinsjax import columns, gone
 from sinsjax.errors import InputError
 from sinsjax.execution import frames, sealed
 from sinsjax.execution.directory import (
-    ESTIMATES,
     STUDY,
     Manifest,
     check_directory,
@@ -25,7 +24,6 @@ from sinsjax.execution.directory import (
     results_path,
 )
 from sinsjax.messages import first_error_line, format_count, to_one_line
-from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study import display
 from sinsjax.study.attitude_file import attitude_file
@@ -52,10 +50,10 @@ class Results:
         study: the study, at the rate of its record if it has one.
         directory: directory of the results; None in memory.
         wall_s: time that the study took, s, with compilation.
+        manifest: entries of the manifest in the directory.
         config: label of the study.
         version: version of sinsjax that computed the results.
         warnings: warnings from before the study ran, one line each.
-        record_latitude_deg: latitude in the record's header, deg; None if there is none.
         whole_draws: in an unfinished study, the draws that every variant has, if it is restricted
             to them; else None.
 
@@ -81,14 +79,14 @@ class Results:
         directory: Path | None = None,
         manifest: Manifest | None = None,
     ) -> None:
-        """Create results from tables by dataset, or from a directory."""
+        """Create results from tables by dataset, or from a directory and its manifest."""
         self.study, self.wall_s, self.directory = study, wall_s, directory
-        self._tables = tables
-        entries = manifest or Manifest(identity="")
-        self.config = to_one_line(entries.config or f"study.toml of {study.name}")
-        self.version = to_one_line(entries.versions.get("sinsjax", "unknown"))
-        self.warnings = tuple(map(to_one_line, entries.warnings))
-        self.record_latitude_deg = entries.record_latitude_deg
+        self.manifest = manifest or Manifest(identity="")
+        self._tables = dict(tables or {})  # those of a directory are added when they are read
+        self._parts = StoredParts(directory, manifest) if directory and tables is None else None
+        self.config = to_one_line(self.manifest.config or f"study.toml of {study.name}")
+        self.version = to_one_line(self.manifest.versions.get("sinsjax", "unknown"))
+        self.warnings = tuple(map(to_one_line, self.manifest.warnings))
         self.whole_draws: np.ndarray | None = None
 
     @classmethod
@@ -115,7 +113,6 @@ class Results:
         manifest = Manifest.read(directory)
         study = _load_study(directory, manifest)
         results = cls(study, manifest.wall_s, directory=directory, manifest=manifest)
-        results.__dict__["_parts"] = StoredParts(directory, manifest)
         assert results.runs >= 0  # verifies the summary
         if whole_draws and manifest.state in ("running", "interrupted"):
             results._restrict_to_whole_draws()
@@ -123,12 +120,10 @@ class Results:
 
     def _restrict_to_whole_draws(self) -> None:
         """Restrict the results to draws that every variant has, for a fair comparison."""
-        runs, planned = self.runs, self.study.n_draws * self.study.n_variants
+        planned, runs = self.study.n_draws * self.study.n_variants, self.runs
         if runs >= planned:
             return
-        draws, counts = np.unique(
-            self._parts.read("summary", ["draw_id"])["draw_id"], return_counts=True
-        )
+        draws, counts = np.unique(self._read_rows(["draw_id"])["draw_id"], return_counts=True)
         whole = draws[counts == self.study.n_variants]
         progress = (
             f"unfinished: {runs:,} of {planned:,} runs are done ({100 * runs / planned:.2g} %)"
@@ -142,21 +137,23 @@ class Results:
         shown = f"shown are the {len(whole):,} draws that every variant has"
         self.warnings = (f"{progress}; {shown}; {remedy}.", *self.warnings)
         self.whole_draws = whole
-        del self.runs  # cached before
+
+    def _stored(self) -> "StoredParts":
+        assert self._parts is not None
+        return self._parts
 
     @cached_property
-    def _parts(self) -> "StoredParts":
-        assert self.directory is not None
-        return StoredParts.open(self.directory)
+    def _stored_runs(self) -> int:
+        return self._stored().query("summary", lambda dataset: dataset.count_rows())
 
-    @cached_property
+    @property
     def runs(self) -> int:
         """Number of runs."""
         if self.whole_draws is not None:
             return len(self.whole_draws) * self.study.n_variants
-        if self._tables is not None:
+        if "summary" in self._tables:
             return self._tables["summary"].num_rows
-        return self._parts.query("summary", lambda dataset: dataset.count_rows())
+        return self._stored_runs
 
     @property
     def draws(self) -> int:
@@ -177,7 +174,7 @@ class Results:
             )
         return draws
 
-    @cached_property
+    @property
     def summary(self) -> pa.Table:
         """One row per run, ordered by run_id; the schema has units and meanings.
 
@@ -190,9 +187,11 @@ class Results:
             >>> sinsjax.run(study).summary["method"].unique().to_pylist()
             ['kalman5']
         """
-        return self._tables["summary"] if self._tables is not None else self._read_rows(None)
+        if "summary" not in self._tables:
+            self._tables["summary"] = self._read_rows(None)
+        return self._tables["summary"]
 
-    @cached_property
+    @property
     def curves(self) -> pa.Table:
         """One row per run and record time; empty if curves were not kept.
 
@@ -205,7 +204,9 @@ class Results:
             >>> sinsjax.run(study, curves=False).curves.num_rows
             0
         """
-        return self.read_curves()
+        if "curves" not in self._tables:
+            self._tables["curves"] = self.read_curves()
+        return self._tables["curves"]
 
     def rows(self, names: Iterable[str]) -> pa.Table:
         """Return some columns, one row per run, by run_id.
@@ -217,7 +218,7 @@ class Results:
             InputError: a column is missing.
         """
         selected = list(dict.fromkeys(names))
-        if self._tables is None and self.runs > _MAX_KEPT_RUNS:
+        if "summary" not in self._tables and self.runs > _MAX_KEPT_RUNS:
             return self._read_rows(selected)
         if missing := [name for name in selected if name not in self.summary.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
@@ -226,7 +227,7 @@ class Results:
     def with_summary(self, summary: pa.Table) -> "Results":
         """Return these results, without curves, with other values in the rows of the summary."""
         results = copy(self)
-        results.__dict__ |= {"summary": summary, "_tables": {"summary": summary}}
+        results._tables, results._parts = {"summary": summary}, None
         return results
 
     def _read_rows(self, names: list[str] | None) -> pa.Table:
@@ -234,21 +235,21 @@ class Results:
         draws = None
         if self.whole_draws is not None:
             draws = pc.field("draw_id").isin(self.whole_draws.tolist())
-        return self._parts.read("summary", names, draws)
+        return self._stored().read("summary", names, draws)
 
     def read_curves(self, run_ids: Iterable[int] | None = None) -> pa.Table:
         """Return the curves of some runs, or of all; empty if none were stored."""
         if run_ids is None and self.whole_draws is not None:
             run_ids = self.rows(["run_id"])["run_id"].to_pylist()
         runs = None if run_ids is None else pc.field("run_id").isin(list(run_ids))
-        if self._tables is None:
-            return self._parts.read("curves", None, runs)
+        if "curves" not in self._tables:
+            return self._stored().read("curves", None, runs)
         return self._tables["curves"] if runs is None else self._tables["curves"].filter(runs)
 
     @property
     def has_curves(self) -> bool:
         """Return whether curves of any run were stored."""
-        if self._tables is None:
+        if self._parts is not None:
             return bool(self._parts.paths("curves"))
         return len(self._tables.get("curves", ())) > 0
 
@@ -489,10 +490,7 @@ class StoredParts:
         except (OSError, pa.ArrowException) as error:
             text = f"cannot be read: {first_error_line(error)} ({_RESUME_HINT})"
             raise InputError(f"{self._directory / dataset}: {text}") from error
-        text = f"no results (no part in {dataset}/)"
-        if list_parts(self._directory, ESTIMATES):
-            text = "estimates by covariance analysis, which only version 1.0 reads"
-        raise InputError(f"{self._directory}: contains {text}")
+        raise InputError(f"{self._directory}: contains no results (no part in {dataset}/)")
 
     def read(self, dataset: str, names: Sequence[str] | None = None, rows: Any = None) -> pa.Table:
         """Read rows of a dataset, sorted; without curves those are an empty table.
@@ -542,8 +540,7 @@ def _load_study(directory: Path, manifest: Manifest) -> Study:
     """Load the study of a results directory.
 
     Raises:
-        InputError: it cannot be read (names packages that provided methods when it was computed and
-            are not installed here); or it is not the study of the results.
+        InputError: it cannot be read, or is not the study of the results.
     """
     try:
         study = load_study(directory / STUDY)
@@ -551,16 +548,7 @@ def _load_study(directory: Path, manifest: Manifest) -> Study:
         if any(gone.MARK in line for line in error.lines):
             text = to_one_line("; ".join(error.lines))
             raise InputError(f"{text}; `sinsjax.read_summary` still reads the rows") from None
-        missing = [
-            f"{name} {version}"
-            for name, version in manifest.versions.items()
-            if name not in ("python", *runtime.RESULT_PACKAGES)
-            and runtime.installed_version_or_none(name) is None
-        ]
-        if not missing:
-            raise
-        text = f"was computed with {' and '.join(missing)}, not installed here, which may be why"
-        raise InputError(f"{directory}: {text}: {error}") from error
+        raise
     if not _is_study_of(manifest, study):
         differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = f"is not the study of the results: {to_one_line('; '.join(differing))}"

@@ -13,6 +13,7 @@ import pyarrow as pa
 from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import resume, schemas, stopping
+from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
@@ -29,8 +30,6 @@ MAX_CURVE_RUNS = 1024
 
 class MemorySink:
     """The tables of a job in memory, with the methods of `DirectoryStore` that a job needs."""
-
-    place = "memory"
 
     def __init__(self) -> None:
         self._tables: dict[str, list[pa.Table]] = {}
@@ -204,7 +203,9 @@ def run_into(  # noqa: PLR0913
     job = issue_warnings(prepare_job(study, None, record, None, options))
     with python_progress(job.study.name, progress, on_progress) as show:
         run_job(job, executor=executor, on_progress=show, stop=stop)
-    return Results(job.study, time.monotonic() - began, directory=job.directory)
+    assert job.directory is not None
+    manifest = Manifest.read(job.directory)
+    return Results(job.study, time.monotonic() - began, directory=job.directory, manifest=manifest)
 
 
 def run_job(
@@ -240,28 +241,14 @@ def run_job(
         store.unlock()
 
 
-def run_in_memory(job: Job, on_progress: ProgressCallback | None = None) -> dict[str, pa.Table]:
-    """Run a job in memory.
-
-    Args:
-        job: prepared job without a directory.
-        on_progress: called with the progress before the first chunk and after every one.
-
-    Returns:
-        The rows of all tasks by dataset, in any order.
-    """
-    sink = MemorySink()
-    _run_tasks(TaskRunner(job), sink, local_executor(), on_progress, threading.Event())
-    return sink.tables()
-
-
 def _run_to_results(
     job: Job, progress: bool | None, on_progress: ProgressCallback | None
 ) -> Results:
-    began = time.monotonic()
+    """Run a job in memory."""
+    began, sink = time.monotonic(), MemorySink()
     with python_progress(job.study.name, progress, on_progress) as show:
-        tables = run_in_memory(job, show)
-    order = [("run_id", "ascending"), ("time_s", "ascending")]
+        _run_tasks(TaskRunner(job), sink, local_executor(), show, threading.Event())
+    tables, order = sink.tables(), [("run_id", "ascending"), ("time_s", "ascending")]
     curves = tables.get(
         "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
     )
@@ -296,8 +283,8 @@ def _run_tasks(
             if not missing.isdisjoint(pending):
                 sink.finish("interrupted")
                 now = progress.now
-                text = f"{now.done:,} of {now.total:,} runs are in {sink.place}"
-                raise StudyInterrupted(text)
+                where = runner.job.directory
+                raise StudyInterrupted(f"{now.done:,} of {now.total:,} runs are in {where}")
             if _may_stop(study, sink, draws):
                 break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
@@ -307,7 +294,7 @@ def _may_stop(study: Study, sink: DirectoryStore | MemorySink, draws: range) -> 
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     rows = sink.read_summary(stopping.required_columns(study))
-    return stopping.analyse_interim(study, rows, draws.stop).is_sufficient
+    return stopping.widest_half_width(study, rows, draws.stop) <= study.stop_when.half_width
 
 
 class _ProgressReport:

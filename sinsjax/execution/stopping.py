@@ -5,7 +5,6 @@ not depend on chunks, workers or their order.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
 
@@ -13,26 +12,8 @@ from sinsjax import columns as result_columns
 from sinsjax.study import success
 from sinsjax.study.study import Study
 
-if TYPE_CHECKING:
-    from sinsjax.analysis import Estimate
-
 FIRST_INTERIM = 64
 """Draws at the first interim analysis; each further one doubles them."""
-
-
-class InterimAnalysis(NamedTuple):
-    """Result of an interim analysis.
-
-    Attributes:
-        draws: number of draws analysed.
-        half_width: largest half width over the variants of the statistic's 95 % interval; infinite
-            if a variant has too few settled runs for an interval.
-        is_sufficient: whether that is narrow enough to stop.
-    """
-
-    draws: int
-    half_width: float
-    is_sufficient: bool
 
 
 def interim_draws(study: Study) -> list[int]:
@@ -65,35 +46,26 @@ def _statistic_column(study: Study) -> str:
     )
 
 
-def analyse_interim(study: Study, table: pa.Table, draws: int) -> InterimAnalysis:
-    """Analyse the rows of the first draws.
+def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
+    """Return the largest half width over the variants of the statistic's 95 % interval.
+
+    It is infinite if a variant has too few settled runs for an interval.
 
     Args:
         study: study with [stop_when].
-        table: `required_columns` of the summary in any order, with all runs of these draws.
-        draws: number of draws.
+        table: `required_columns` of the summary in any order, with all runs of the first draws.
+        draws: number of draws to analyse.
     """
     # Late: scipy takes a quarter of a second, and few studies need it.
     from sinsjax import analysis
 
-    assert study.stop_when is not None
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
-    name = study.stop_when.statistic
-    widths = []
-    for _, variant_rows in analysis.group_rows(rows, ["variant_id"]):
-        if name == "success_rate":
-            estimate = analysis.proportion(
-                variant_rows["status"].to_pylist().count("ok"), variant_rows.num_rows
-            )
+    column, widest = _statistic_column(study), 0.0
+    for _, runs in analysis.group_rows(rows, ["variant_id"]):
+        if column == "status":
+            estimate = analysis.proportion(runs[column].to_pylist().count("ok"), runs.num_rows)
         else:
-            estimate = analysis.mean(
-                analysis.numeric_column(variant_rows, _statistic_column(study))
-            )
-        widths.append(_half_width(estimate))
-    widest = max(widths)
-    return InterimAnalysis(draws, widest, widest <= study.stop_when.half_width)
-
-
-def _half_width(estimate: "Estimate") -> float:
-    half = (estimate.high - estimate.low) / 2
-    return math.inf if math.isnan(half) else half
+            estimate = analysis.mean(analysis.numeric_column(runs, column))
+        half = (estimate.high - estimate.low) / 2
+        widest = max(widest, math.inf if math.isnan(half) else half)
+    return widest

@@ -34,7 +34,6 @@ class DirectoryStore:
 
     Attributes:
         directory: results directory.
-        place: location of the results, as text.
     """
 
     def __init__(self, job: Job, facts: Mapping[str, Any]) -> None:
@@ -49,7 +48,7 @@ class DirectoryStore:
                 job was prepared.
         """
         assert job.directory is not None
-        self.directory, self.place = job.directory, str(job.directory)
+        self.directory = job.directory
         self._job, self._identity, self._facts = job, job.identity, dict(facts)
         self._started_s = round(time.time(), 3)
         self._start_s, self._earlier_s = time.monotonic(), 0.0
@@ -63,14 +62,15 @@ class DirectoryStore:
             raise
 
     def _prepare_directory(self) -> None:
-        if resume.manifest_state(self.directory) != self._job.manifest_state:
-            raise InputError(
-                f"{self.directory}: another process has just written there (run again)"
-            )
+        job = self._job  # checked again, since the directory may have changed before it was locked
+        resume.check_available(self.directory, overwrite=job.overwrite, resume=job.resume)
+        if job.resume and resume.continue_job(job) != job:
+            text = "another process has just written there (run again)"
+            raise InputError(f"{self.directory}: {text}")
         _remove_files(results_directory.stale_temp_files(self.directory))
-        if not self._job.resume:
+        if not job.resume:
             _remove_files(results_directory.owned_files(self.directory))
-        if self._job.resume and (manifest := Manifest.find(self.directory)):
+        if job.resume and (manifest := Manifest.find(self.directory)):
             self._started_s = manifest.started_unix_s or self._started_s
             self._earlier_s = manifest.wall_s or 0.0
         else:
@@ -185,8 +185,8 @@ def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None
         facts: further entries of the manifest.
 
     Raises:
-        InputError: the directory cannot be written, has another writer, or had one since the
-            state of its manifest in the job.
+        InputError: the directory cannot be written, has another writer, or had one since the job
+            was prepared.
     """
     rows = (("summary", len(summary)),)
     task = Task("part-0000-000000", 0, (draws.start, draws.stop), 0, len(summary), rows)
@@ -194,7 +194,7 @@ def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None
     store = DirectoryStore(job, runtime.describe_environment())
     try:
         store.missing_tasks([task])
-        store.add_result(TaskResult(task, {"summary": content}, 0, 0.0))
+        store.add_result(TaskResult(task, {"summary": content}, 0))
         whole = draws == range(job.study.n_draws)
         store.finish("complete" if whole else "interrupted", **facts)
     finally:

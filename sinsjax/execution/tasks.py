@@ -7,7 +7,6 @@ on the study, so a task can be repeated anywhere.
 import hashlib
 import json
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
@@ -49,7 +48,6 @@ class Job(NamedTuple):
         directory: results directory; None for tables in memory.
         overwrite: whether existing results are removed.
         resume: whether existing results are continued.
-        manifest_state: content of the directory's manifest when it was checked.
         source: the study's file, or another label.
         warnings: doubts about the study or its record, one line each.
         notes: further information for the user, one line each.
@@ -64,7 +62,6 @@ class Job(NamedTuple):
     directory: Path | None = None
     overwrite: bool = False
     resume: bool = False
-    manifest_state: bytes | None = None
     source: str | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -119,13 +116,11 @@ class TaskResult(NamedTuple):
         task: the task.
         content: by dataset: tables, or sealed Parquet files if the job has a directory.
         failures: runs that diverged or became non-finite.
-        seconds: time taken without compilation, s.
     """
 
     task: Task
     content: dict[str, Any]
     failures: int
-    seconds: float
 
 
 def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
@@ -174,7 +169,9 @@ class TaskRunner:
         ]
         self._lock = threading.Lock()
         self._compilers = ThreadPoolExecutor(min(len(jax.devices()), _MOST_COMPILERS))
-        self._compiling = lru_cache(None)(self._begin_to_compile)
+        self._compiling = lru_cache(None)(
+            lambda program, draws: self._compilers.submit(self._compile, program, draws)
+        )
         self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
         self._blank_batch(0, self._split_draws(self.stages[0])[0])
 
@@ -227,17 +224,15 @@ class TaskRunner:
         """Compute one task: equal tables, and equal bytes, on any machine."""
         with self._lock:  # otherwise every thread would compile
             chunks = self._chunks(task.part, range(*task.draws))
-        start_s = time.perf_counter()
         chunk = chunks.compute(task.call)
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
         content = self._tables.make_tables(chunk, self.scenario.variant_ids[task.part])
-        seconds = time.perf_counter() - start_s
         failed = pc.is_in(content["summary"]["status"], pa.array(columns.FAILED))
         failures = pc.sum(failed).as_py() or 0
         if self.job.directory is not None:
             content = {name: self.to_parquet(name, t, task) for name, t in content.items()}
-        return TaskResult(task, content, failures, seconds)
+        return TaskResult(task, content, failures)
 
     def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
         """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.
@@ -278,9 +273,6 @@ class TaskRunner:
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""
         self._compilers.shutdown(wait=False, cancel_futures=True)
-
-    def _begin_to_compile(self, program: int, draws: range) -> Future:
-        return self._compilers.submit(self._compile, program, draws)
 
     def _compile(self, program: int, draws: range) -> None:
         batch = self._blank_batch(program, draws)

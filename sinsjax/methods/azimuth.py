@@ -19,10 +19,8 @@ same numbers would differ from it by t_E t_N / 2 about the vertical: 3.5 deg of 
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
@@ -34,23 +32,14 @@ from sinsjax.methods.filters.attitude import (
     rotation_from_tilt,
 )
 from sinsjax.methods.filters.kalman import Belief
-from sinsjax.methods.filters.keys import filter_method
-from sinsjax.methods.filters.loop import (
-    Filter,
-    FilterParams,
-    FilterState,
-    feed_back,
-    reverse_time,
-)
-from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
-from sinsjax.methods.method import AttitudeCovariance, Options, StudyKeys
+from sinsjax.methods.filters.keys import FIVE_STATES
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, feed_back
+from sinsjax.methods.filters.params import filter_method
+from sinsjax.methods.method import AttitudeCovariance, Options
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Scalar, Vec3
 
-STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
 VE, VN, TILT_E, TILT_N, AZIMUTH = range(5)
-REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
-"""Sign of each state under time reversal."""
 
 Errors = tuple[Scalar, ...]
 """Velocity errors (m/s), tilt and azimuth (rad)."""
@@ -103,13 +92,13 @@ BETA = 2.0
 """Weight of the central point, for a normal distribution (Wan and van der Merwe 2000)."""
 
 
-def predict_linearised(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
+def predict_linearised(belief: Belief, place: Place, dt: Scalar) -> Belief:
     """Predict as an extended Kalman filter: mean by the model, P by its Jacobian at the mean."""
     x, p = belief
     return Belief(predict_errors(x, place, dt), congruence(jacobian(x, place, dt), p, len(x)))
 
 
-def predict_unscented(belief: Belief, place: Place, dt: Scalar, alpha: Scalar) -> Belief:
+def predict_unscented(belief: Belief, place: Place, dt: Scalar, alpha: Scalar = ALPHA) -> Belief:
     """Predict by the scaled unscented transform (Julier 2002): the model at 2 n + 1 sigma points.
 
     The sums are over differences from the central point, whose large weight then drops out: with
@@ -150,28 +139,22 @@ def _cholesky_columns(p: Triangle, n: int) -> list[Errors]:
     return [tuple(rows[i][j] for i in range(n)) for j in range(n)]
 
 
-Prediction = Callable[[Belief, Place, Scalar, Scalar], Belief]
-"""(belief, place, dt, alpha) -> belief one sample later, before the process noise is added."""
-
-
-def build_filter(predict: Prediction, options: Options) -> Filter:
-    """Return the filter, whose `FilterParams.extra` is alpha.
+def build_filter(predict: Callable[[Belief, Place, Scalar], Belief], options: Options) -> Filter:
+    """Return the filter; `Options.specific_force` is always that of a base at rest.
 
     Args:
-        predict: see `Prediction`.
-        options: `Options.specific_force` is always that of a base at rest.
+        predict: (belief, place, dt) -> belief one sample later, without its process noise.
+        options: those of the method.
     """
     dt = options.dt
 
     def predict_belief(
         params: FilterParams, state: FilterState, here: Place, f_dt: Vec3
     ) -> FilterState:
-        return state._replace(belief=predict(state.belief, here, dt, params.extra))
+        return state._replace(belief=predict(state.belief, here, dt))
 
     return Filter(
         transition=lambda state, here, f_dt: jacobian(state.belief.x, here, dt),
-        reverse=partial(reverse_time, REVERSAL),
-        heading=(AZIMUTH,),
         predict=predict_belief,
         feed_back=partial(feed_back, rotate=_rotate),
         attitude=_attitude,
@@ -194,25 +177,20 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
     )
 
 
-def params(keys: StudyKeys, xp: Any) -> FilterParams:
-    """Return the params of these filters, leaves (variants,)."""
-    return filter_params(STATES, keys, xp)._replace(extra=np.full(keys.count, ALPHA))
-
-
 EKF_AZIMUTH = filter_method(
+    FIVE_STATES,
+    partial(build_filter, predict_linearised),
     name="ekf_azimuth",
     summary="extended Kalman filter, its model nonlinear in the azimuth",
     source="after Yan, Strapdown Inertial Navigation, eq. (4-23)",
-    build=partial(build_filter, predict_linearised),
-    params=params,
     step_s=25e-9,
 )
 
 UNSCENTED = filter_method(
+    FIVE_STATES,
+    partial(build_filter, predict_unscented),
     name="unscented",
     summary="the same model with an unscented transform",
     source="Julier (2002); Wan and van der Merwe (2000)",
-    build=partial(build_filter, predict_unscented),
-    params=params,
     step_s=60e-9,
 )

@@ -14,9 +14,16 @@ import jax.numpy as jnp
 
 from sinsjax.maths.algebra import scale
 from sinsjax.maths.rotations import exp, log, rotate
-from sinsjax.methods.least_squares import ZERO, earth_rate
 from sinsjax.methods.method import Program, Site
-from sinsjax.types import Array, Navigation, Quat, Sample, Scalar
+from sinsjax.strapdown.earth import Place
+from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
+
+ZERO = Vec3(0.0, 0.0, 0.0)
+
+
+def earth_rate(place: Place) -> Vec3:
+    """Return w_ie in n, rad/s."""
+    return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
 
 
 def align_analytically(samples: Sample, site: Site, dt: float) -> Quat:

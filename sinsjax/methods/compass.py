@@ -10,7 +10,7 @@ The transport rate is part of the mechanisation; the loops add K2 times that rat
 
 import math
 from itertools import combinations
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -253,11 +253,9 @@ def check(keys: StudyKeys) -> None:
         for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
             _refuse_loop(keys, loop, int(row), "gives a gain that is no finite number")
     too_fast = f"a loop that a sample of {dt:g} s cannot carry"
-    polynomials = loops.level_polynomial(level, **earth), loops.azimuth_polynomial(azimuth, **earth)
-    north = loops.azimuth_matrix(azimuth, rate_n=float(keys.site.place.rate_n), **earth)
-    matrices = loops.level_matrix(level, **earth), north
-    for loop, polynomial, matrix in zip(_LOOPS, polynomials, matrices, strict=True):
-        roots = loops.roots(polynomial)
+    matrices = loops.level_matrix(level, **earth), loops.azimuth_matrix(azimuth, **earth)
+    for loop, matrix in zip(_LOOPS, matrices, strict=True):
+        roots = loops.roots(matrix)
         unstable = roots.real.max(axis=-1) >= 0
         for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
             what = "an unstable loop" if unstable[row] else too_fast
@@ -265,7 +263,7 @@ def check(keys: StudyKeys) -> None:
             _refuse_loop(keys, loop, int(row), f"{text} (allow_unstable = true runs it)")
 
 
-def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> NoReturn:
+def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> None:
     """Refuse a variant's loop, naming the key that sets its gains, and the value."""
     names = [f"{loop}_{setting}" for setting in _SETTINGS]
     key, value = next((k, v) for k in names if (v := keys.value(k, row)) is not None)

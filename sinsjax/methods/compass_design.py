@@ -10,8 +10,8 @@ In the north channel the tilt is phi_E, dV_N' = g phi_E - K1 dV_N. The east chan
 loop with -phi_N in the place of phi_E.
 
 Throughout, ``gravity`` is g in m/s^2 and ``radius`` the R of the transport rate in m. All numbers
-broadcast; where only gains are designed, they may be traced. Polynomials and matrices are arrays
-with the shape of the gains first.
+broadcast; where only gains are designed, they may be traced. Matrices are arrays with the shape of
+the gains first.
 """
 
 import math
@@ -102,63 +102,38 @@ def sigma_from_settling(time_s: Number, remainder: Number, xp: Any = np) -> Numb
     return -xp.log(remainder) / time_s
 
 
-def level_polynomial(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return the coefficients of Delta3, [P2] eq. (16), highest power first.
-
-    Delta3(s) = s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3, s in 1/s.
-    """
-    k1, k2, k3 = gains
-    return _matrix([1.0, k1, (1 + k2) * gravity / radius, gravity * k3])[..., 0, :]
-
-
-def azimuth_polynomial(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return the coefficients of Delta4, [P2] eq. (21), highest power first.
-
-    Delta4(s) = s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3, s in 1/s; omega_N phi_E in phi_U'
-    is dropped, as in the paper.
-    """
-    k1, k2, k3, k4 = gains
-    stiffness = (1 + k2) * gravity / radius
-    return _matrix([1.0, k1 + k4, k1 * k4 + stiffness, k4 * stiffness, gravity * k3])[..., 0, :]
-
-
-def roots(polynomial: np.ndarray) -> np.ndarray:
-    """Return the complex roots, the slowest (largest real part) first, of Delta3 or Delta4.
+def roots(matrix: np.ndarray) -> np.ndarray:
+    """Return the complex roots of a loop from its matrix, the slowest (largest real part) first.
 
     Double roots, as designed in azimuth, are found to half of the digits.
     """
-    order = polynomial.shape[-1] - 1
-    companion = np.zeros((*polynomial.shape[:-1], order, order))
-    companion[..., 0, :] = -polynomial[..., 1:]
-    companion[..., range(1, order), range(order - 1)] = 1.0
-    found = np.linalg.eigvals(companion).astype(complex)
+    found = np.linalg.eigvals(matrix).astype(complex)
     return np.take_along_axis(found, np.lexsort((-found.imag, -found.real)), -1)
 
 
 def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
     """Return A of the levelling loop, x' = A x, x = [dV, phi, I], [P2] Fig. 1.
 
-    I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out.
+    I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out. Its
+    characteristic polynomial is [P2] eq. (16), s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3.
     """
     k1, k2, k3 = gains
     return _matrix([-k1, gravity, 0.0], [-(1 + k2) / radius, 0.0, -1.0], [k3, 0.0, 0.0])
 
 
-def azimuth_matrix(
-    gains: AzimuthGains, *, gravity: Number, radius: Number, rate_n: Number
-) -> np.ndarray:
-    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, phi_U, w_cU].
+def azimuth_matrix(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
+    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, omega_N phi_U, omega_N w_cU].
 
-    [P2] Fig. 2, with ``rate_n`` = omega_N = omega_ie cos L, rad/s, not 0. omega_N phi_E in phi_U'
-    is dropped, as in [P2] eq. (21), so that the characteristic polynomial is `azimuth_polynomial`.
-    A backward pass has -omega_N, in the coupling and in K(s) alike, and the same polynomial.
+    [P2] Fig. 2; omega_N phi_E in phi_U' is dropped, as in the characteristic polynomial, [P2] eq.
+    (21), s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3. A backward pass, with -omega_N, has the
+    same.
     """
     k1, k2, k3, k4 = gains
     return _matrix(
         [-k1, gravity, 0.0, 0.0],
-        [-(1 + k2) / radius, 0.0, -rate_n, 0.0],
+        [-(1 + k2) / radius, 0.0, -1.0, 0.0],
         [0.0, 0.0, 0.0, 1.0],
-        [k3 / rate_n, 0.0, 0.0, -k4],
+        [k3, 0.0, 0.0, -k4],
     )
 
 

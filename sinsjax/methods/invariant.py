@@ -11,14 +11,13 @@ feedbacks, which mix it into the others. After Barrau and Bonnabel, IEEE TAC 62 
 """
 
 import math
-from functools import partial
 
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, add, cross, dot, scale
 from sinsjax.methods.filters import kalman
-from sinsjax.methods.filters.keys import filter_method
+from sinsjax.methods.filters.keys import FIVE_STATES
 from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
@@ -27,17 +26,13 @@ from sinsjax.methods.filters.loop import (
     reverse_time,
     subtract_fed_back,
 )
-from sinsjax.methods.filters.params import HEADING, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.filters.params import filter_method
 from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi
-
-STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
-REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
-"""Sign of each state under time reversal."""
 
 
 def build_filter(options: Options) -> Filter:
@@ -58,8 +53,7 @@ def build_filter(options: Options) -> Filter:
 
     return Filter(
         transition=transition,
-        reverse=_reverse,
-        heading=(PHI_U,),
+        reverse=lambda signs, state: reverse_time(signs, state)._replace(extra=-state.extra),
         predict=predict,
         feed_back=_feed_back,
         init=init,
@@ -107,15 +101,11 @@ def apply_left_jacobian(phi: Vec3, v: Vec3) -> Vec3:
     return add(v, add(scale(first, across), scale(second, cross(phi, across))))
 
 
-def _reverse(state: FilterState) -> FilterState:
-    return reverse_time(REVERSAL, state)._replace(extra=-state.extra)
-
-
 INVARIANT = filter_method(
+    FIVE_STATES,
+    build_filter,
     name="invariant",
     summary="right-invariant Kalman filter of a base at rest, fed back by the group",
     source="Barrau and Bonnabel (2017)",
-    build=build_filter,
-    params=partial(filter_params, STATES),
     step_s=15e-9,
 )

@@ -5,10 +5,10 @@ A `Method` names its keys and columns, makes its numbers (params) from a study, 
 engine knows them by these types alone.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Literal, NamedTuple, NoReturn, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from numpy.typing import NDArray
@@ -220,89 +220,12 @@ class Program(NamedTuple):
 # What studies know
 
 
-@runtime_checkable
-class StudyKeys(Protocol):
-    """The keys of a study as a method reads them, over some variants or all.
+StudyKeys: TypeAlias = Any
+"""The keys of a study as a method reads them: `sinsjax.study.variants.Variants`.
 
-    Numbers are in the units of the study, arrays have a leading axis of variants. Params are made
-    for the variants of one program and one site; rules see all variants.
-
-    Attributes:
-        record_interval_s: time between two record times, s.
-        run_s: length of the shortest run, s.
-        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
-        site: `Site` of these variants; for params only.
-        micro_g: the micro-g that the study counts in, m/s^2; for params only.
-    """
-
-    record_interval_s: float
-    run_s: float
-    is_recorded: bool
-    site: Any
-    micro_g: Any
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-        ...
-
-    @property
-    def end(self) -> str:
-        """The end of the shortest run, in words."""
-        ...
-
-    @property
-    def count(self) -> int:
-        """Number of variants."""
-        ...
-
-    def has(self, section: str) -> bool:
-        """Return whether the study has a section; its keys may be read only then."""
-        ...
-
-    def column(self, key: str, factor: float = 1.0) -> Any:
-        """Return numbers times a factor, (variants,); NaN if the key is left out."""
-        ...
-
-    def si(self, key: str) -> Any:
-        """Return numbers in SI units, (variants,); NaN if the key is left out. For params only."""
-        ...
-
-    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
-        """Return a function of the values of some keys, (variants, ...)."""
-        ...
-
-    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
-        """Return lists of a function of some keys, (variants, longest), padded with ``padding``."""
-        ...
-
-    def rms(self, key: str) -> Any:
-        """Return the size of a numeric key, (variants,): rms over draws of the largest axis."""
-        ...
-
-    def common(self, key: str) -> Any:
-        """Return the value of a key that is the same for all variants."""
-        ...
-
-    def value(self, key: str, variant: int) -> Any:
-        """Return the value of a key for one variant, by its place among them."""
-        ...
-
-    def combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """Yield the distinct combinations of some keys over all variants; a drawn key is None."""
-        ...
-
-    def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """Yield combinations of keys as the file gives them, before others decide their values."""
-        ...
-
-    def given_in(self, key: str) -> str | None:
-        """Return the table, in brackets, that gives a key; None if it is left out."""
-        ...
-
-    def refuse(self, key: str, text: str) -> NoReturn:
-        """Raise the `InputError` of a key: ``[section] key: what is wrong (way on)``."""
-        ...
+Params are made for the variants of one program and one site, rules see all variants of a study. In
+a gradient the values of tuned keys are traced.
+"""
 
 
 class OwnColumn(NamedTuple):

@@ -35,24 +35,18 @@ class PassReading(NamedTuple):
     opens_pass: Flag | None = None  # whether it opens the second or a later pass; None of one pass
 
 
-def read_once(record: Count, every: int) -> PassReading:
-    """Return the samples of an interval of a record that is read once."""
-    return PassReading(record * every + jnp.arange(every))
-
-
-def read_alternately(record: Count, pass_records: Count, every: int) -> PassReading:
-    """Return the samples of an interval (from 0) of passes forward and backward in turn."""
-    number, place = record // pass_records, record % pass_records
+def read_interval(passes: str, interval: Count, pass_intervals: Count, every: int) -> PassReading:
+    """Return the samples of an interval, from 0, of a record read as `ProgramSpec.passes` says."""
+    if passes == "once":
+        return PassReading(interval * every + jnp.arange(every))
+    number, place = interval // pass_intervals, interval % pass_intervals
+    opens_pass = (place == 0) & (number > 0)
+    if passes == "rewind":
+        return PassReading(place * every + jnp.arange(every), opens_pass=opens_pass)
     backward = number % 2 == 1
-    first = jnp.where(backward, (pass_records - place) * every - 2, place * every)
+    first = jnp.where(backward, (pass_intervals - place) * every - 2, place * every)
     samples = first + jnp.where(backward, -1, 1) * jnp.arange(every)
-    return PassReading(samples, backward, (place == 0) & (number > 0))
-
-
-def read_forward(record: Count, pass_records: Count, every: int) -> PassReading:
-    """Return the samples of an interval of passes that are all forward."""
-    place = record % pass_records
-    return PassReading(place * every + jnp.arange(every), opens_pass=(place == 0) & (record > 0))
+    return PassReading(samples, backward, opens_pass)
 
 
 def site_of_pass(site: Site, backward: Flag | None) -> Site:

@@ -1,95 +1,17 @@
-"""Alignment methods of other installed packages, found by their entry points.
+"""Checks and errors of plug-in methods, which `registry.add_plugins` loads from other packages."""
 
-A package names its `Method` in its ``pyproject.toml``:
-
-    [project.entry-points."sinsjax.methods"]
-    my_method = "my_package:MY_METHOD"
-
-A plug-in that cannot be loaded affects only the studies that use it. An error of its code is
-reported in one line with the place in that code, see `describe_plugin_error`.
-"""
-
-from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 from traceback import walk_tb
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
-from sinsjax.methods.method import AttitudeCovariance, Method, Program
+from sinsjax.methods.method import AttitudeCovariance, Program
 from sinsjax.platform import runtime
 from sinsjax.types import Navigation, Quat, Sample, Vec3
-from sinsjax.value_types import Section
-
-
-class PluginRegistry(NamedTuple):
-    """All methods, and the state of the plug-ins; all by name."""
-
-    methods: dict[str, Method]  # usable ones, the built-in ones first
-    sections: dict[str, type[Section]]  # their sections of a study file
-    packages: dict[str, tuple[str, str]]  # package and version of each method of a plug-in
-    broken: dict[str, str]  # in one line, why the plug-in of an entry point cannot be used
-
-    def label(self, name: str) -> str:
-        """Return the name of a plug-in's method with its package, for messages."""
-        return f"method {name!r} of {' '.join(self.packages[name])}"
-
-    def add(self, method: Method) -> None:
-        """Add a method; an `InputError` says which name, section or key of it is not new."""
-        if method.name in self.methods:
-            raise InputError(f"there is already a method {method.name!r}")
-        if clash := _find_clash(method, self.sections):
-            raise InputError(clash)
-        self.methods[method.name] = method
-        self.sections.update(method.sections)
-
-
-def load_plugins(built_in: Iterable[Method]) -> PluginRegistry:
-    """Return the built-in methods and those of plug-ins; none replaces another."""
-    registry = PluginRegistry({}, {}, {}, {})
-    for method in built_in:
-        registry.add(method)
-    for point in runtime.method_entry_points():
-        try:
-            method = point.load()
-            registry.add(method)
-        except (Exception, SystemExit) as error:  # anything that the code of others raises
-            reason = str(error)
-            if not isinstance(error, InputError):
-                reason = f"cannot be loaded ({_describe_error(error, point)})"
-            source = f"entry point {point.name!r} in {point.group}{_package_label(point)}"
-            registry.broken[point.name] = f"{source}: {reason}"
-            continue
-        if point.dist is not None:
-            registry.packages[method.name] = point.dist.name, point.dist.version
-    return registry
-
-
-def exclude_clashing(registry: PluginRegistry, common: Mapping[str, type[Section]]) -> None:
-    """Make plug-ins of a registry unusable that have a section or key of every study."""
-    for name in list(registry.packages):
-        if clash := _find_clash(registry.methods[name], common):
-            registry.broken[name] = f"{registry.label(name)}: {clash}"
-            del registry.methods[name], registry.packages[name]
-    used = {name for method in registry.methods.values() for name in method.sections}
-    for name in registry.sections.keys() - used:
-        del registry.sections[name]
-
-
-def _find_clash(method: Method, taken: Mapping[str, type[Section]]) -> str | None:
-    """Return the first section or key of a method that others have, in words."""
-    for name, section in method.sections.items():
-        for other, existing in taken.items():
-            if existing is section:  # methods may share a section as a whole
-                continue
-            if name == other:
-                return f"there is already a section [{name}]"
-            if keys := sorted(section.model_fields.keys() & existing.model_fields.keys()):
-                return f"[{name}] {keys[0]} is a key of [{other}]"
-    return None
 
 
 def check_plugin(
@@ -140,15 +62,17 @@ def describe_plugin_error(error: BaseException) -> str | None:
     """Return method, package, kind, file and line of an error of a plug-in's code; else None."""
     for point in runtime.method_entry_points():
         if _last_place(error, point):
-            return f"method {point.name!r}{_package_label(point)}: {_describe_error(error, point)}"
+            return f"method {point.name!r}{package_label(point)}: {describe_error(error, point)}"
     return None
 
 
-def _package_label(point: EntryPoint) -> str:
+def package_label(point: EntryPoint) -> str:
+    """Return the package of a plug-in and its version, for a message."""
     return f" of {point.dist.name} {point.dist.version}" if point.dist else ""
 
 
-def _describe_error(error: BaseException, point: EntryPoint) -> str:
+def describe_error(error: BaseException, point: EntryPoint) -> str:
+    """Return an error in one line, with the place in a plug-in's code."""
     return f"{type(error).__name__}: {first_error_line(error)}{_last_place(error, point)}"
 
 

@@ -1,9 +1,14 @@
 """All alignment methods by name; a new one is registered here.
 
-Plug-in methods of other packages are found by their entry points, see `plugins`.
+Plug-in methods of other packages are found by their entry points:
+
+    [project.entry-points."sinsjax.methods"]
+    my_method = "my_package:MY_METHOD"
+
+A plug-in that cannot be used affects only the studies that name it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn
 
 from sinsjax.errors import InputError
@@ -14,45 +19,86 @@ from sinsjax.methods.inertial_frame import INERTIAL, OPTIMISATION, OPTIMISATION_
 from sinsjax.methods.invariant import INVARIANT
 from sinsjax.methods.level import LEVEL
 from sinsjax.methods.method import Method, Options, Program
-from sinsjax.methods.plugins import load_plugins
+from sinsjax.methods.plugins import describe_error, package_label
 from sinsjax.methods.sincos import SINCOS
 from sinsjax.methods.surge import SURGE
 from sinsjax.methods.zero_velocity import KALMAN5, KALMAN10
+from sinsjax.platform import runtime
 from sinsjax.value_types import Section
 
-REGISTRY = load_plugins(
-    (
-        KALMAN5,
-        KALMAN10,
-        SINCOS,
-        SURGE,
-        EKF_AZIMUTH,
-        INVARIANT,
-        UNSCENTED,
-        OPTIMISATION,
-        OPTIMISATION_POSITION,
-        INERTIAL,
-        GRAVITY_FIT,
-        COMPASS,
-        LEVEL,
-    )
-)
-"""All methods with their sections, and the state of the plug-ins."""
-
-METHODS: dict[str, Method] = REGISTRY.methods
+METHODS: dict[str, Method] = {}
 """Every method; a study names one, and the engine runs its program."""
 
-SECTIONS_OF_METHODS: dict[str, type[Section]] = REGISTRY.sections
+SECTIONS_OF_METHODS: dict[str, type[Section]] = {}
 """The sections of a study that belong to methods, by name."""
 
-PACKAGES: dict[str, tuple[str, str]] = REGISTRY.packages
+PACKAGES: dict[str, tuple[str, str]] = {}
 """Package and version of each method of a plug-in."""
 
-BROKEN: dict[str, str] = REGISTRY.broken
+BROKEN: dict[str, str] = {}
 """Reason why a plug-in cannot be used, in one line, by the name of its entry point.
 
 `METHODS` may have a usable method of the same name.
 """
+
+
+def add_method(method: Method) -> None:
+    """Add a method; an `InputError` says which name, section or key of it is not new."""
+    if method.name in METHODS:
+        raise InputError(f"there is already a method {method.name!r}")
+    _refuse_clash(method, SECTIONS_OF_METHODS)
+    METHODS[method.name] = method
+    SECTIONS_OF_METHODS.update(method.sections)
+
+
+def _refuse_clash(method: Method, taken: Mapping[str, type[Section]]) -> None:
+    """Refuse a method with a section or key that others have; methods may share a section."""
+    for name, section in method.sections.items():
+        for other, existing in taken.items():
+            if existing is section:
+                continue
+            if name == other:
+                raise InputError(f"there is already a section [{name}]")
+            if keys := sorted(section.model_fields.keys() & existing.model_fields.keys()):
+                raise InputError(f"[{name}] {keys[0]} is a key of [{other}]")
+
+
+def add_plugins() -> None:
+    """Add the methods of plug-ins; none replaces another."""
+    for point in runtime.method_entry_points():
+        try:
+            method = point.load()
+            add_method(method)
+        except (Exception, SystemExit) as error:  # anything that the code of others raises
+            reason = str(error)
+            if not isinstance(error, InputError):
+                reason = f"cannot be loaded ({describe_error(error, point)})"
+            source = f"entry point {point.name!r} in {point.group}{package_label(point)}"
+            BROKEN[point.name] = f"{source}: {reason}"
+            continue
+        if point.dist is not None:
+            PACKAGES[method.name] = point.dist.name, point.dist.version
+
+
+def drop_clashing_plugins(reserved: Mapping[str, type[Section]]) -> None:
+    """Make plug-ins unusable that have a section or key of the given ones, of every study."""
+    for name in list(PACKAGES):
+        try:
+            _refuse_clash(METHODS[name], reserved)
+        except InputError as error:
+            BROKEN[name] = f"method {name!r} of {' '.join(PACKAGES.pop(name))}: {error}"
+            del METHODS[name]
+    used = {name for method in METHODS.values() for name in method.sections}
+    for name in SECTIONS_OF_METHODS.keys() - used:
+        del SECTIONS_OF_METHODS[name]
+
+
+for _built_in in (
+    *(KALMAN5, KALMAN10, SINCOS, SURGE, EKF_AZIMUTH, INVARIANT, UNSCENTED),
+    *(OPTIMISATION, OPTIMISATION_POSITION, INERTIAL, GRAVITY_FIT, COMPASS, LEVEL),
+):
+    add_method(_built_in)
+add_plugins()
 
 
 def _refuse_run(*arguments: Any) -> NoReturn:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, levelling_time
+from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem, heading_sigma, levelling_time
 from sinsjax.units import ARCMIN
 
 _GROWTH = 0.02  # length of a step, of the time since the last reset
@@ -80,10 +80,7 @@ def _settle(
     now, settled = np.zeros(len(lanes)), np.full(len(lanes), math.inf)
     before = np.full(len(lanes), math.inf)
     for dt, since, heading in _headings(lanes, steps):
-        # As `heading_sigma` has it.
-        by_force = 12 * problem.accel_noise / since**3 + 720 * problem.surge / since**5
-        noise = np.sqrt(by_force / problem.gravity**2 + 1.2 * problem.gyro_noise / since)
-        outside = np.abs(heading) + sigmas * (noise / problem.north_rate) - bands
+        outside = np.abs(heading) + sigmas * heading_sigma(since, problem) - bands
         now = now + dt
         is_entry = (outside <= 0) & (before > 0)
         crossing = now - dt * outside / np.where(is_entry, outside - before, -1.0)

@@ -52,30 +52,21 @@ UNCHANGED = CovarianceReset(1.0, 1.0, 0.0, 0.0)
 class Resets(NamedTuple):
     """A reset schedule, [P1] section 3.2: what a reset does, and when.
 
-    P is reset after the ``samples``, (M,), in any order; inf for none.
-    """
-
-    samples: Array
-    covariance_reset: CovarianceReset
-
-
-class Windows(NamedTuple):
-    """A smoothed reset schedule: each reset is spread over a smooth window.
-
-    The outcome of a run can then be differentiated by the times. The narrower the windows, the
-    closer to `Resets`. Only for covariance resets whose ``keep`` and ``keep_yaw`` are 0 or 1, such
-    as 'full' and 'yaw': of these the parts, one after the other, make what a hard reset makes at
-    once.
+    Smoothed, each reset is spread over a window, so that the outcome of a run can be differentiated
+    by the times; the narrower the windows, the closer to hard resets. Only for covariance resets
+    whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw': of these the parts, one
+    after the other, make what a hard reset makes at once.
 
     Attributes:
-        samples: (M,) counts of the samples about which P is reset, in any order.
+        samples: (M,) samples after which, or about which, P is reset, in any order; inf for none.
+        covariance_reset: effect of a reset.
         width: half the width of a window, some tens of samples or more: a shorter window leaves
-            more than it should, as 1/(1 + h) is not exp(-h).
+            more than it should, as 1/(1 + h) is not exp(-h). None for hard resets.
     """
 
     samples: Array
-    width: Scalar
     covariance_reset: CovarianceReset
+    width: Scalar | None = None
 
 
 class PiecewiseConstant(NamedTuple):
@@ -107,29 +98,25 @@ def smooth_resets(params: Any, width: Any) -> Any:
         if not is_schedule(part):
             return part
         samples = jnp.where(jnp.isfinite(part.samples), part.samples, _NEVER)
-        return Windows(samples, width, part.covariance_reset)
+        return part._replace(samples=samples, width=width)
 
     if not any(map(is_schedule, jax.tree.leaves(params, is_leaf=is_schedule))):
         return params
     return jax.tree.map(smooth, params, is_leaf=is_schedule)
 
 
-def reset_due(resets: Resets | Windows, n: Scalar) -> Flag | Scalar:
+def reset_due(resets: Resets, n: Scalar) -> Flag | Scalar:
     """Return whether P is reset after the n-th sample; of a smoothed schedule, the share."""
-    if isinstance(resets, Windows):
-        return _window_share(resets, n)
-    due = jnp.asarray(False)
+    if resets.width is None:
+        due = jnp.asarray(False)
+        for sample in resets.samples:
+            due = due | (n == sample)
+        return due
+    left = jnp.ones_like(resets.width)
     for sample in resets.samples:
-        due = due | (n == sample)
-    return due
-
-
-def _window_share(windows: Windows, n: Scalar) -> Scalar:
-    left = jnp.ones_like(windows.width)
-    for sample in windows.samples:
-        place = (n - sample) / windows.width
+        place = (n - sample) / resets.width
         # A biweight, whose integral over the window is 1: its slope is continuous.
-        bump = 15 / 16 * jnp.maximum(1 - place * place, 0.0) ** 2 / windows.width
+        bump = 15 / 16 * jnp.maximum(1 - place * place, 0.0) ** 2 / resets.width
         left = left / (1 + WINDOW_STRENGTH * bump)
     return 1 - left
 

@@ -29,15 +29,9 @@ from sinsjax.methods.filters.attitude import (
     rotation_from_tilt,
     shortest_rotation,
 )
-from sinsjax.methods.filters.keys import BIAS_KEYS, FILTER_COLUMNS, filter_method
-from sinsjax.methods.filters.loop import (
-    Filter,
-    FilterParams,
-    FilterState,
-    initial_state,
-    reverse_time,
-)
-from sinsjax.methods.filters.params import DIRECTION, LEVEL, VELOCITY, filter_params
+from sinsjax.methods.filters.keys import BIAS_KEYS, DIRECTION, FILTER_COLUMNS, LEVEL, VELOCITY
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, initial_state
+from sinsjax.methods.filters.params import filter_method
 from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
@@ -52,8 +46,6 @@ from sinsjax.units import DEG_PER_H
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
-REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0, 1.0)
-"""Sign of each state under time reversal."""
 
 LEAST_AMPLITUDE = 0.05
 """sqrt(s^2 + cos^2 a) below which the heading is still unknown and keeps its initial value."""
@@ -81,8 +73,6 @@ def build_filter(options: Options) -> Filter:
 
     return Filter(
         transition=lambda state, here, f_dt: transition(here, dt),
-        reverse=partial(reverse_time, REVERSAL),
-        heading=(SINE, VERSINE),
         feed_back=_feed_back,
         init=init_unknown_heading,
         misalignment=_misalignment,
@@ -245,10 +235,10 @@ describe = partial(
 """Return the `Method` of a filter with these states."""
 
 SINCOS = describe(
+    STATES,
+    build_filter,
     name="kalman_sincos",
     summary="Kalman filter with sine and cosine of the azimuth, linear from any heading",
     source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
-    build=build_filter,
-    params=partial(filter_params, STATES),
     step_s=15e-9,
 )

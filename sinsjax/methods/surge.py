@@ -13,8 +13,7 @@ small R, the heading comes within a few percent of the information bound (`bound
 and P is true.
 """
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 from sinsjax.maths.algebra import Entries, Minus
 from sinsjax.methods import sincos
@@ -23,15 +22,11 @@ from sinsjax.methods.filters.kalman import Innovation
 from sinsjax.methods.filters.keys import (
     FilterSection,
     ResetsSection,
+    StateKind,
     check_resets,
     has_trigger,
 )
-from sinsjax.methods.filters.loop import (
-    Filter,
-    FilterParams,
-    FilterState,
-    reverse_time,
-)
+from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState
 from sinsjax.methods.filters.params import filter_params
 from sinsjax.methods.method import Options, StudyKeys
 from sinsjax.methods.sincos import VE, VN
@@ -40,25 +35,19 @@ from sinsjax.types import Navigation, Scalar
 from sinsjax.value_types import Seconds, Section, SpeedSigma, field
 
 PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
-REVERSAL = (*sincos.REVERSAL, 1.0, 1.0, -1.0, -1.0)
+PLACE, SPEED = StateKind(None, None), StateKind(None, None, sign=-1.0)
+STATES = (*sincos.STATES, PLACE, PLACE, SPEED, SPEED)
 
 _TO_MEASURED: Entries = {(VE, SURGE_E): 1.0, (VN, SURGE_N): 1.0}
 _FROM_MEASURED: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
 """From dV to the measured V, and back."""
 
 
-class SurgeParams(NamedTuple):
-    """`FilterParams.extra`, which is `FilterState.extra` too.
-
-    Attributes:
-        rate: 1/T of the surge, 1/s.
-    """
-
-    rate: Scalar
-
-
 def build_filter(options: Options) -> Filter:
-    """Return the filter; `Options.specific_force` is always that of a base at rest."""
+    """Return the filter; its extra params and state are 1/T of the surge, 1/s.
+
+    `Options.specific_force` is always that of a base at rest.
+    """
     dt = options.dt
 
     def init(params: FilterParams, nav: Navigation) -> FilterState:
@@ -68,14 +57,13 @@ def build_filter(options: Options) -> Filter:
         init=init,
         transition=lambda state, here, f_dt: transition(here, state.extra, dt),
         update=_update_with_surge,
-        reverse=partial(reverse_time, REVERSAL),
     )
 
 
-def transition(place: Place, surge: SurgeParams, dt: Scalar) -> Entries:
+def transition(place: Place, rate: Scalar, dt: Scalar) -> Entries:
     """Return the non-zero entries of A dt with the states of the surge, see the module."""
-    damping = surge.rate * dt
-    restoring = surge.rate * damping
+    damping = rate * dt
+    restoring = rate * damping
     return {
         **sincos.transition(place, dt),
         (PLACE_E, SURGE_E): dt,
@@ -114,7 +102,7 @@ def params(keys: StudyKeys, xp: Any) -> FilterParams:
         p0=(*own.p0, *p0),
         q=(*own.q, *(0.0 * q,) * 2, *(q,) * 2),
         reset_to=(*own.reset_to, *p0),
-        extra=SurgeParams(1 / time),
+        extra=1 / time,
     )
 
 
@@ -129,11 +117,12 @@ def check_no_trigger(study: StudyKeys) -> None:
 
 
 SURGE = sincos.describe(
+    STATES,
+    build_filter,
     name="kalman_surge",
     summary="the same with states for the velocity of a base that surges",
     source="`methods.surge`",
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
-    build=build_filter,
     params=params,
     rules=(check_no_trigger, check_resets),
     turning="many",

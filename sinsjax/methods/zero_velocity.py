@@ -10,33 +10,21 @@ from functools import partial
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries
-from sinsjax.methods.filters.keys import LOOP_KEYS, filter_method
+from sinsjax.methods.filters.keys import ACCEL_BIAS, FIVE_STATES, GYRO_BIAS
 from sinsjax.methods.filters.loop import (
     FIRST_BIAS,
     Filter,
     FilterParams,
     FilterState,
     initial_state,
-    reverse_time,
 )
-from sinsjax.methods.filters.params import (
-    ACCEL_BIAS,
-    GYRO_BIAS,
-    HEADING,
-    LEVEL,
-    VELOCITY,
-    filter_params,
-)
+from sinsjax.methods.filters.params import LOOP_KEYS, filter_method
 from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
-STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
-BIAS_STATES = (ACCEL_BIAS, ACCEL_BIAS, GYRO_BIAS, GYRO_BIAS, GYRO_BIAS)
-REVERSAL = (-1.0, -1.0, 1.0, 1.0, 1.0)
-"""Sign of each state under time reversal."""
-BIAS_REVERSAL = (1.0, 1.0, -1.0, -1.0, -1.0)
+TEN_STATES = (*FIVE_STATES, ACCEL_BIAS, ACCEL_BIAS, GYRO_BIAS, GYRO_BIAS, GYRO_BIAS)
 NABLA_X, NABLA_Y, EPS_X, EPS_Y, EPS_Z = range(FIRST_BIAS, FIRST_BIAS + 5)
 
 
@@ -58,7 +46,6 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
     dt = options.dt
     assumes_rest = options.specific_force == "gravity"
     entries = ten_state_transition if with_biases else five_state_transition
-    reversal = (*REVERSAL, *BIAS_REVERSAL) if with_biases else REVERSAL
 
     def transition(state: FilterState, here: Place, f_dt: Vec3) -> Entries:
         nav = state.nav
@@ -71,8 +58,6 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
 
     return Filter(
         transition=transition,
-        reverse=partial(reverse_time, reversal),
-        heading=(PHI_U,),
         init=_init,
         correct=correct if with_biases else None,
         shares_covariance=assumes_rest and options.position == "fixed" and not with_biases,
@@ -107,21 +92,21 @@ def _gyro_bias(state: FilterState) -> Vec3:
 
 
 KALMAN5 = filter_method(
+    FIVE_STATES,
+    partial(build_filter, False),
     name="kalman5",
     summary="Kalman filter of velocity and attitude errors, zero velocity measured",
     source="[P1] eq. (1)",
-    build=partial(build_filter, False),
-    params=partial(filter_params, STATES),
     reads=(*LOOP_KEYS, "specific_force"),
 )
 
 KALMAN10 = filter_method(
+    TEN_STATES,
+    partial(build_filter, True),
     name="kalman10",
     compile_s=7.0,
     summary="the same with states of gyro and level accelerometer biases",
     source="[P1] eq. (1), biases as states",
-    build=partial(build_filter, True),
-    params=partial(filter_params, (*STATES, *BIAS_STATES)),
     reads=(*LOOP_KEYS, "specific_force"),
     without_effect=(),
     turning="any",

@@ -64,11 +64,9 @@ def enable_cache() -> Path | None:
         _reason_off = f"not tested with jaxlib {version}; {VARIABLE}=1 enables it anyway"
     else:
         try:
-            return _use_folder(Path(setting).expanduser() if setting not in ("", "1") else None)
+            return _use_folder(Path(setting) if setting not in ("", "1") else None)
         except OSError as error:
             _reason_off = f"{error.filename or setting}: {error.strerror or error}"
-        except RuntimeError:  # from expanduser
-            _reason_off = f"{setting}: no such user, or a user without a home directory"
         if setting:
             raise InputError(f"{VARIABLE}: {_reason_off}")
     return None

@@ -1,6 +1,5 @@
 """Atomic writing of files, and file names."""
 
-import errno
 import os
 import stat
 from collections.abc import Iterator
@@ -12,9 +11,6 @@ from sinsjax.errors import InputError
 
 MAX_BYTES = 2**30
 """Largest file that `read_regular_file` reads."""
-
-
-_NO_LINK, _NO_WAIT = getattr(os, "O_NOFOLLOW", 0), getattr(os, "O_NONBLOCK", 0)
 
 
 @contextmanager
@@ -49,20 +45,17 @@ def read_regular_file(path: Path) -> bytes:
         InputError: it is not a regular file, too large, or cannot be read.
     """
     try:
-        # Without waiting for the writer of a named pipe.
-        handle = os.open(path, os.O_RDONLY | _NO_LINK | _NO_WAIT)
-        with open(handle, "rb") as file:
-            about = os.fstat(file.fileno())
-            if not stat.S_ISREG(about.st_mode):
-                raise InputError(f"{path}: is not a regular file (remove it)")
-            if about.st_size > MAX_BYTES:
-                raise InputError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-            return file.read()
+        about = path.lstat()
+        if stat.S_ISLNK(about.st_mode):
+            raise InputError(f"{path}: is a symbolic link (replace it by the file)")
+        if not stat.S_ISREG(about.st_mode):
+            raise InputError(f"{path}: is not a regular file (remove it)")
+        if about.st_size > MAX_BYTES:
+            raise InputError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
+        return path.read_bytes()
     except FileNotFoundError:
         raise
     except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise InputError(f"{path}: is a symbolic link (replace it by the file)") from None
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 

@@ -19,7 +19,6 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 
 from sinsjax.platform import machine
 from sinsjax.platform.files import atomic_write
@@ -70,17 +69,9 @@ def parse_flags(flags: str) -> dict[str, str]:
     return values
 
 
-def _names_a_file(flags: str) -> bool:
-    return bool(flags.strip()) and not flags.lstrip().startswith("-")
-
-
 def current_options() -> dict[str, str]:
-    """Return the options set by ``XLA_FLAGS``, or by the file that it names, see `parse_flags`."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if _names_a_file(flags):
-        with contextlib.suppress(OSError, ValueError):
-            flags = Path(flags.strip()).read_text(encoding="utf-8")
-    return parse_flags(flags)
+    """Return the options set by ``XLA_FLAGS``, see `parse_flags`; none of a file that it names."""
+    return parse_flags(os.environ.get("XLA_FLAGS", ""))
 
 
 def instruction_set() -> str:
@@ -102,14 +93,10 @@ def required_options() -> dict[str, str]:
 
 def missing_options() -> dict[str, str]:
     """Return the options that ``XLA_FLAGS`` does not set; none if opted out or refused."""
-    unset = _unset_options()
-    return unset if unset and options_work(_jaxlib_version()) else {}
-
-
-def _unset_options() -> dict[str, str]:
     present = current_options()
     options = {} if is_opted_out() else required_options()
-    return {name: value for name, value in options.items() if name not in present}
+    unset = {name: value for name, value in options.items() if name not in present}
+    return unset if unset and options_work(_jaxlib_version()) else {}
 
 
 def merge_options(flags: str, options: Mapping[str, str]) -> str:
@@ -141,16 +128,18 @@ def apply_options() -> None:
     """Add the missing options to ``XLA_FLAGS``; has an effect only before JAX starts.
 
     Warns:
-        ConfigurationWarning: ``XLA_FLAGS`` names a file without all the options, or this jaxlib
-            refuses them.
+        ConfigurationWarning: ``XLA_FLAGS`` names a file, or this jaxlib refuses the options.
     """
-    flags, unset, missing = os.environ.get("XLA_FLAGS", ""), _unset_options(), missing_options()
-    if missing and not _names_a_file(flags):
+    if is_opted_out():
+        return
+    flags, missing, problem = os.environ.get("XLA_FLAGS", ""), missing_options(), ""
+    if flags.strip() and not flags.lstrip().startswith("-"):
+        problem = f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)}"
+    elif missing:
         os.environ["XLA_FLAGS"] = merge_options(flags, missing)
-    elif unset:
+    elif not options_work(_jaxlib_version()):
         problem = f"jaxlib {_jaxlib_version()} refuses them"
-        if missing:
-            problem = f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)}"
+    if problem:
         warnings.warn(
             "sinsjax's XLA options are not all in effect, runs may be several times slower:"
             f" {problem} ({OPT_OUT}=0 silences this warning)",

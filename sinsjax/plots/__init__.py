@@ -5,13 +5,9 @@ on the figure. Nothing here changes matplotlib's global state.
 """
 
 from sinsjax.plots.comparison import draw_along_axis, plot_compare
-from sinsjax.plots.consistency import ConsistencyLine, draw_consistency, plot_belief
+from sinsjax.plots.consistency import plot_belief
 from sinsjax.plots.curves import (
     Ensemble,
-    Line,
-    draw_attitude,
-    draw_heading_errors,
-    draw_level_errors,
     draw_mean_and_band,
     group_curves,
     plot_curves,
@@ -23,18 +19,12 @@ from sinsjax.plots.style import COLOURS, STYLE, line_colour, render_png
 __all__ = [
     "COLOURS",
     "STYLE",
-    "ConsistencyLine",
     "Ensemble",
-    "Line",
     "draw_along_axis",
-    "draw_attitude",
-    "draw_consistency",
-    "draw_heading_errors",
     "line_colour",
     "draw_mean_and_band",
     "group_curves",
     "axis_label",
-    "draw_level_errors",
     "plot_belief",
     "plot_compare",
     "plot_curves",

@@ -5,22 +5,14 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import (
-    FixedLocator,
-    LogLocator,
-    NullFormatter,
-    NullLocator,
-    PercentFormatter,
-    StrMethodFormatter,
-)
+from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from sinsjax.plots.style import line_colour, with_style
+from sinsjax.plots.style import line_colour, set_log_scale, with_style
 
 _LEAST_SHARE = 0.03  # at some time, of a source with an area of its own
 _WIDTH, _HEIGHT = 6.4, 6.0
 _LETTERS = 66  # of a line of the title
-_TICKS_S = (10, 20, 50, 100, 200, 500, 1000, 2000)
 
 
 @with_style
@@ -45,16 +37,15 @@ def plot_budget(
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     above.set_title(fill(title, _LETTERS), loc="left")
-    above.loglog(times_s, rms_arcmin, color=line_colour(0))
+    above.plot(times_s, rms_arcmin, color=line_colour(0))
     above.axvline(asked_s, color="0.5", linewidth=0.8)
     (asked,) = rms_arcmin[times_s == asked_s]
     above.plot(asked_s, asked, "o", color=line_colour(0))
     text = f"{asked:.3g} arcmin rms at {asked_s:g} s"
     above.text(0.98, 0.95, text, transform=above.transAxes, ha="right", va="top")
     above.set_ylabel("rms heading error (arcmin)")
-    above.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    above.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    above.yaxis.set_minor_formatter(NullFormatter())
+    set_log_scale(above.xaxis, 1.0, 10.0)
+    set_log_scale(above.yaxis, 1.0, 10.0)
     above.grid(visible=True, which="both", alpha=0.3)
     order = np.argsort(-shares[times_s == asked_s][0])
     large = [k for k in order if shares[:, k].max() >= _LEAST_SHARE]
@@ -70,8 +61,5 @@ def plot_budget(
     below.set_ylabel("share of the variance")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     below.set_xlabel("length of the data (s)")
-    below.xaxis.set_major_locator(FixedLocator(_TICKS_S))
-    below.xaxis.set_minor_locator(NullLocator())
-    below.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     return figure

@@ -33,9 +33,7 @@ _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _WIDE = 12  # letters of a label that does not fit next to others
 _SIMILAR = 0.1  # of a panel's largest value: a panel that differs by less is left out
-_CLEAR = 0.05  # share by which the best line is better than the second
 _RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
-_LONG = 4.0  # times the median bar of a panel; beyond it a bar leaves the panel
 _NO_ESTIMATE = Estimate(math.nan, math.nan, math.nan, 0)
 
 
@@ -60,9 +58,9 @@ def plot_compare(
         statistics: statistics of `sinsjax.summarise` and the title of the panel of each, with its
             unit (shares become percent); by default the median settling times, the shares of
             success and the rms of the heading error at the end that the columns allow.
-        condition: whether the key is a condition of the runs such as the initial heading error, so
-            that the title names the best line over all of its values; else it names the best value.
-        title: title of the figure; by default it names the best value or line.
+        condition: whether the key is a condition of the runs such as the initial heading error, of
+            which no value is the best.
+        title: title of the figure; by default it names the best value, or the range of a condition.
 
     Raises:
         InputError: no table, no runs, a missing column, or an unknown statistic.
@@ -149,20 +147,23 @@ def _read_estimate(row: Mapping[str, Any], statistic: str) -> Estimate:
 def _select_informative(panels: Mapping[str, Panel]) -> dict[str, Panel]:
     """The panels that show something that no earlier one of the same unit does."""
     found: dict[str, Panel] = {}
-    seen: dict[str, list[tuple[np.ndarray, float]]] = {}
+    seen: list[tuple[str, np.ndarray, float]] = []
     for name, panel in panels.items():
-        values = np.array([e.value for line in panel.values() for e in line])
-        unit = name.partition("(")[2].partition(")")[0]
-        same = unit == "%" and np.ptp(values) == 0
+        values, unit = _values(panel), name.partition("(")[2].partition(")")[0]
+        reach = _SIMILAR * float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
         repeated = any(
-            np.allclose(values, before, rtol=0.0, atol=reach, equal_nan=True)
-            for before, reach in seen.get(unit, ())
+            unit == other and np.allclose(values, before, rtol=0.0, atol=least, equal_nan=True)
+            for other, before, least in seen
         )
-        if not same and not repeated and (np.isfinite(values) & (values != 0)).any():
+        if reach > 0 and not repeated and not (unit == "%" and np.ptp(values) == 0):
             found[name] = panel
-            reach = _SIMILAR * float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
-            seen.setdefault(unit, []).append((values, reach))
+            seen.append((unit, values, reach))
     return found
+
+
+def _values(panel: Panel) -> np.ndarray:
+    """The values of a panel, (lines, values of the key)."""
+    return np.array([[estimate.value for estimate in line] for line in panel.values()])
 
 
 @with_style
@@ -180,7 +181,7 @@ def draw_along_axis(
         key: leaf key, with the unit in its name.
         values: values of the key; words and lists are placed side by side.
         panels: by quantity, with its unit; infinite estimates are marked at the upper edge as
-            *never*; a bar far longer than the others ends outside.
+            *never*.
         title: title of the figure; by default it names the best of the first panel.
         condition: whether the key is a condition, see `plot_compare`.
     """
@@ -191,8 +192,10 @@ def draw_along_axis(
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     x = np.asarray(values, dtype=float) if numeric else np.arange(len(values))
     for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        _draw_panel(axes, name, lines, x, "-" if numeric else "")
+        _draw_panel(axes, lines, x, "-" if numeric else "")
         axes.set_title(name, loc="left", size="medium")
+        if "(%)" in name:
+            axes.set_ylim(-4, 104)
     if not numeric:  # such values have no distance
         words = [format_value(value) for value in values]
         turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
@@ -200,13 +203,13 @@ def draw_along_axis(
     elif np.diff(np.sort(x)).min(initial=np.inf) > 0.06 * np.ptp(x):
         grid[-1].set_xticks(x, [f"{value:g}" for value in x])
     grid[-1].set_xlabel(axis_label(key))
-    if any(np.isposinf(e.value) for p in panels.values() for line in p.values() for e in line):
+    if any(np.isposinf(_values(panel)).any() for panel in panels.values()):
         grid[0].plot([], [], "x", color=GREY, label="never (median)")
     add_legend_below(figure, grid[0])
     return figure
 
 
-def _draw_panel(axes: Any, name: str, lines: Panel, x: np.ndarray, joined: str) -> None:
+def _draw_panel(axes: Any, lines: Panel, x: np.ndarray, joined: str) -> None:
     """Draw the lines of a panel."""
     estimates = np.array([[e[:3] for e in line] for line in lines.values()], dtype=float)
     value = np.where(np.isfinite(estimates[..., 0]), estimates[..., 0], np.nan)
@@ -214,25 +217,16 @@ def _draw_panel(axes: Any, name: str, lines: Panel, x: np.ndarray, joined: str) 
     bars = np.maximum(np.nan_to_num(ends, posinf=0.0, neginf=0.0), 0.0)
     known = value[np.isfinite(value)]
     if known.size and known.min() > 0 and known.max() > _RANGE * known.min():
-        set_log_scale(axes, float(known.min()), float(known.max()))
+        set_log_scale(axes.yaxis, float(known.min()), float(known.max()))
     for i, line in enumerate(lines):
         shifted = x + _DODGE * np.ptp(x) * (i - (len(lines) - 1) / 2)
         style = {"color": line_colour(i), "label": line, "capsize": 2.5, "markersize": 5}
         mark = _MARKS[i % len(_MARKS)] + joined
         axes.errorbar(shifted, value[i], yerr=bars[:, i], fmt=mark, **style)
         never = shifted[np.isposinf(estimates[i, :, 0])]
-        height = np.full(never.size, 0.97)  # of the axes: their upper edge
-        edge = axes.get_xaxis_transform()
-        if never.size:
-            axes.plot(never, height, "x", color=line_colour(i), transform=edge)
-    if "(%)" in name:
-        axes.set_ylim(-4, 104)
-    elif axes.get_yscale() == "linear" and bars.any():
-        room = max(_LONG * np.median(bars[bars > 0]), np.ptp(known) / 2)
-        if (bars > room).any():  # let such a bar leave the panel, instead of squashing it
-            down, up = np.minimum(bars, room)
-            low, high = np.nanmin(value - down), np.nanmax(value + up)
-            axes.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
+        if never.size:  # at the upper edge
+            at = {"transform": axes.get_xaxis_transform()}
+            axes.plot(never, np.full(never.size, 0.97), "x", color=line_colour(i), **at)
     if not known.size:
         axes.set_yticks([])
 
@@ -240,30 +234,18 @@ def _draw_panel(axes: Any, name: str, lines: Panel, x: np.ndarray, joined: str) 
 def _best_value_title(
     key: str, values: Sequence[Any], panels: Mapping[str, Panel], *, condition: bool
 ) -> str:
-    """Return a title that names the best of the first panel."""
+    """Return a title that names the best value, or the range, of the first panel."""
     name, lines = next(iter(panels.items()))
     quantity, _, unit = name.partition(" (")
     unit = unit.partition(")")[0]
-    title, names = f"{quantity[:1].upper()}{quantity[1:]}", list(lines)
-    table = np.array([[e.value for e in line] for line in lines.values()])
+    title, names, table = f"{quantity[:1].upper()}{quantity[1:]}", list(lines), _values(lines)
     known = np.isfinite(table)
     if not known.any():
         return title
-    if condition and len(lines) == 1:
-        never = np.count_nonzero(~known)
-        missing = f", never at {never} of {len(values)} values" if never else ""
-        return f"{title}: {table[known].min():.3g} to {table[known].max():.3g} {unit}{missing}"
+    if condition:
+        return f"{title}: {table[known].min():.3g} to {table[known].max():.3g} {unit}"
     sign, best = (-1, "Largest") if unit == "%" else (1, "Smallest")
-    if not condition:
-        order = np.where(known, sign * table, np.inf)
-        line, place = np.unravel_index(np.argmin(order), table.shape)
-        words = describe_axis_point({key: values[int(place)]})
-        words += f", {names[line]}" if len(lines) > 1 else ""
-        return f"{best} {quantity}: {words} ({table[line, place]:.3g} {unit})"
-    counts = known.sum(axis=1)
-    means = np.where(known, table, 0.0).sum(axis=1) / np.maximum(counts, 1)
-    line, second = np.lexsort((sign * means, -counts))[:2]
-    if counts[line] == counts[second] and abs(means[line] / means[second] - 1) < _CLEAR:
-        return f"{title}: no line is clearly the best"
-    missing = "" if known[line].all() else f", at {counts[line]} of {len(values)} values"
-    return f"{best} {quantity}: {names[line]} ({means[line]:.3g} {unit} on average{missing})"
+    line, place = np.unravel_index(np.argmin(np.where(known, sign * table, np.inf)), table.shape)
+    words = describe_axis_point({key: values[int(place)]})
+    words += f", {names[line]}" if len(lines) > 1 else ""
+    return f"{best} {quantity}: {words} ({table[line, place]:.3g} {unit})"

@@ -21,7 +21,7 @@ from sinsjax.analysis.tables import (
     to_key_list,
 )
 from sinsjax.errors import InputError
-from sinsjax.plots.labels import describe_point
+from sinsjax.plots.labels import axis_label, describe_point
 from sinsjax.plots.style import GREY, add_legend_below, line_colour, set_log_scale, with_style
 
 MAX_LINES = 6
@@ -39,8 +39,13 @@ _DIPS = 0.01  # quantile of the errors below which an axis of magnitudes ends
 _SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
 _FAINT = 0.22  # opacity of a band
 _WIDE = 12.0  # times the end of a line; beyond it a linear axis would hide that end
-_LEVEL_NAMES = {"e": "level error,\neast (arcmin)", "n": "level error,\nnorth (arcmin)"}
-_ANGLES = {"pitch": "e", "roll": "n", "yaw": "u"}
+_BAND_NAME = "95 % of the runs"
+_LEVEL_NAMES = {
+    "phi_e_arcmin": "level error,\neast (arcmin)",
+    "phi_n_arcmin": "level error,\nnorth (arcmin)",
+}
+_ATTITUDE = ("pitch_deg", "roll_deg", "yaw_deg")
+_SIGMA_AXES = dict(zip((*_LEVEL_NAMES, *_ATTITUDE), "enenu", strict=True))
 
 
 class Ensemble(NamedTuple):
@@ -50,29 +55,15 @@ class Ensemble(NamedTuple):
         label: label in the legend.
         time_s: (T,) record times, s.
         columns: column name to values, (runs, T).
+        floor_arcmin: rms bias floor of the runs that have one; NaN if none does.
+        resets_s: reset times to mark.
     """
 
     label: str
     time_s: NDArray
     columns: Mapping[str, NDArray]
-
-
-class Line(NamedTuple):
-    """One line of a figure.
-
-    Attributes:
-        label: label in the legend.
-        time_s: (T,) times, s.
-        values: (runs, T) values.
-        colour: colour of the line and its band.
-        style: matplotlib line style.
-    """
-
-    label: str
-    time_s: NDArray
-    values: NDArray
-    colour: str
-    style: str = "-"
+    floor_arcmin: float = math.nan
+    resets_s: Sequence[float] = ()
 
 
 def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) -> list[Ensemble]:
@@ -95,19 +86,30 @@ def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) ->
     return grouped
 
 
-def draw_mean_and_band(axes: Axes, line: Line) -> None:
-    """Draw a line's mean over the runs and the band that contains 95 % of them.
+def draw_mean_and_band(
+    axes: Axes, label: str, time_s: NDArray, values: NDArray, colour: str
+) -> None:
+    """Draw the mean over some runs, and the band that contains 95 % of them.
 
     Args:
         axes: axes to draw on.
-        line: line to draw; times at which a run has no value are omitted.
+        label: label of the line.
+        time_s: (T,) times, s.
+        values: (runs, T) values; times at which a run has none are omitted.
+        colour: colour of the line and its band.
     """
-    known = np.isfinite(line.values).all(axis=0)
-    time, values = line.time_s[known], line.values[:, known]
-    axes.plot(time, values.mean(axis=0), line.style, color=line.colour, label=line.label)
+    known = np.isfinite(values).all(axis=0)
+    axes.plot(time_s[known], values[:, known].mean(axis=0), color=colour, label=label)
+    _draw_band(axes, time_s, values, colour)
+
+
+def _draw_band(axes: Axes, time_s: NDArray, values: NDArray, colour: str, label: str = "") -> None:
+    """Shade the band that contains 95 % of several runs, (runs, T)."""
+    known = np.isfinite(values).all(axis=0)
     if len(values) > 1 and known.any():
-        low, high = np.quantile(values, BAND, axis=0)
-        axes.fill_between(time, low, high, color=line.colour, alpha=_FAINT, linewidth=0)
+        low, high = np.quantile(values[:, known], BAND, axis=0)
+        style: Any = {"color": colour, "alpha": _FAINT, "linewidth": 0, "label": label or None}
+        axes.fill_between(time_s[known], low, high, **style)
 
 
 def plot_curves(
@@ -148,7 +150,7 @@ def plot_curves(
     table = to_arrow_table(curves)
     errors = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
     has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in errors)
-    attitude = [f"{angle}_deg" for angle in _ANGLES] + [f"sigma_{a}_arcmin" for a in "enu"]
+    attitude = [*_ATTITUDE, *(f"sigma_{axis}_arcmin" for axis in "enu")]
     for name in ("run_id", "time_s", *(errors if has_truth else attitude)):
         require_column(table, name)
     every = table["run_id"].unique()
@@ -158,21 +160,19 @@ def plot_curves(
     lines = {name: ids for name, ids in lines.items() if run_ids.intersection(ids)}
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
-    ensembles = group_curves(table, lines)
+    ensembles = [
+        _with_marks(one, summary.filter(pc.is_in(summary["run_id"], pa.array(lines[one.label]))))
+        for one in group_curves(table, lines)
+    ]
     if not has_truth:
-        return draw_attitude(ensembles, title or _attitude_title(ensembles))
-    rows = {
-        name: summary.filter(pc.is_in(summary["run_id"], pa.array(ids)))
-        for name, ids in lines.items()
-    }
+        shown = [column for column in _ATTITUDE if _has_values(ensembles, column)]
+        title = title or _end_title("Yaw", ensembles, ["yaw_deg"], ".2f")
+        return draw_lines(ensembles, title, {name: axis_label(name) for name in shown})
     if level or not _has_values(ensembles, "phi_u_arcmin"):
-        resets_s = _reset_times_to_mark(pa.concat_tables(rows.values()))
-        return draw_level_errors(ensembles, title or _error_title(ensembles, "en"), resets_s)
+        title = title or _end_title("Level errors", ensembles, errors[:2], ".3g")
+        return draw_lines(ensembles, title, _LEVEL_NAMES)
     return draw_heading_errors(
-        ensembles,
-        title or _error_title(ensembles, "u"),
-        floors={name: _bias_floor_rms(found) for name, found in rows.items()},
-        resets_s={name: _reset_times_to_mark(found) for name, found in rows.items()},
+        ensembles, title or _end_title("Heading error", ensembles, errors[2:], ".3g")
     )
 
 
@@ -190,43 +190,36 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
     }
 
 
-def _bias_floor_rms(summary: pa.Table) -> float:
-    """The rms bias floor of the runs that have one, arcmin; NaN if none does."""
-    if "floor_arcmin" not in summary.column_names:
-        return math.nan
-    floors = numeric_column(summary, "floor_arcmin")
-    return float(_rms(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else math.nan
+def _with_marks(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
+    """Return a line with the bias floor and the reset times of its runs, if they are known."""
+    floor, moments = math.nan, set[float]()
+    if "floor_arcmin" in rows.column_names:
+        floors = numeric_column(rows, "floor_arcmin")
+        if np.isfinite(floors).any():
+            floor = float(_rms(floors[np.isfinite(floors)]))
+    if "reset_times_s" in rows.column_names:
+        moments = {time for times in rows["reset_times_s"].to_pylist() for time in times or ()}
+    shown = sorted(moments) if len(moments) <= _MOST_MOMENTS else []
+    return ensemble._replace(floor_arcmin=floor, resets_s=shown)
 
 
-def _reset_times_to_mark(summary: pa.Table) -> list[float]:
-    """The reset times of the runs in ascending order, s; none if there are too many to mark."""
-    if "reset_times_s" not in summary.column_names:
-        return []
-    moments = {time for times in summary["reset_times_s"].to_pylist() for time in times or ()}
-    return sorted(moments) if len(moments) <= _MOST_MOMENTS else []
+def _end_title(
+    name: str, ensembles: Sequence[Ensemble], columns: Sequence[str], digits: str
+) -> str:
+    """The values of some columns at the end of each line that has them, in words.
 
-
-def _attitude_title(ensembles: Sequence[Ensemble]) -> str:
-    """The yaw at the end of each line that has one, in words."""
-    last = [float(ensemble.columns["yaw_deg"][:, -1].mean()) for ensemble in ensembles]
-    last = [yaw for yaw in last if np.isfinite(yaw)]
+    Errors are the rms over the runs, attitudes their mean.
+    """
+    last = [e.columns[column][:, -1] for e in ensembles for column in columns]
+    last = [values for values in last if np.isfinite(values).all()]
+    time = f"{max(e.time_s[-1] for e in ensembles):g} s"
     if not last:
-        return f"Pitch and roll over {ensembles[0].time_s[-1]:g} s"
-    ends = dict.fromkeys(f"{yaw:.2f}" for yaw in (min(last), max(last)))
-    return f"Yaw after {ensembles[0].time_s[-1]:g} s: {' to '.join(ends)} deg"
-
-
-def _error_title(ensembles: Sequence[Ensemble], axes: str) -> str:
-    """The error at the end of each line about one or two axes, in words."""
-    last = [e.columns[f"phi_{axis}_arcmin"][:, -1] for e in ensembles for axis in axes]
-    errors = [float(_rms(values)) for values in last if np.isfinite(values).all()]
-    if not errors:
-        return "Misalignment"
-    end = max(float(e.time_s[-1]) for e in ensembles)
-    ends = dict.fromkeys(f"{error:.3g}" for error in (min(errors), max(errors)))
-    rms = ", rms" if max(map(len, last)) > 1 else ""
-    name = "Heading error" if axes == "u" else "Level errors"
-    return f"{name} after {end:g} s: {' to '.join(ends)} arcmin{rms}"
+        return f"Pitch and roll over {time}" if name == "Yaw" else "Misalignment"
+    is_error = columns[0].startswith("phi")
+    ends = [float(_rms(values) if is_error else values.mean()) for values in last]
+    words = dict.fromkeys(f"{end:{digits}}" for end in (min(ends), max(ends)))
+    rms = ", rms" if is_error and max(map(len, last)) > 1 else ""
+    return f"{name} after {time}: {' to '.join(words)} {'arcmin' if is_error else 'deg'}{rms}"
 
 
 def _rms(values: NDArray) -> NDArray:
@@ -238,11 +231,6 @@ def _has_values(ensembles: Sequence[Ensemble], column: str) -> bool:
     return any(np.isfinite(ensemble.columns[column]).any() for ensemble in ensembles)
 
 
-def _name_band(axes: Axes) -> None:
-    """Name the bands of some axes in their legend."""
-    axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label="95 % of the runs")
-
-
 def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
     for i, time in enumerate(times_s):
         name = "reset" if i == 0 else None
@@ -250,13 +238,7 @@ def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
 
 
 @with_style
-def draw_heading_errors(
-    ensembles: Sequence[Ensemble],
-    title: str,
-    *,
-    floors: Mapping[str, float],
-    resets_s: Mapping[str, Sequence[float]],
-) -> Figure:
+def draw_heading_errors(ensembles: Sequence[Ensemble], title: str) -> Figure:
     """Draw the magnitude of the heading error next to the filter's 1 sigma, one panel per line.
 
     Each is the rms over the runs, on a logarithmic axis that all panels share; shaded: the
@@ -265,8 +247,6 @@ def draw_heading_errors(
     Args:
         ensembles: the lines, with ``phi_u_arcmin``, and ``sigma_u_arcmin`` if it is known.
         title: title of the figure.
-        floors: magnitude of the bias floor by line, arcmin; NaN for none.
-        resets_s: reset times by line, s.
     """
     shown = [e for e in ensembles if np.isfinite(e.columns["phi_u_arcmin"]).any()]
     width = 1 if len(shown) <= _STACKED else 2
@@ -274,19 +254,28 @@ def draw_heading_errors(
     figure = Figure(figsize=(9.2, 1.4 + (2.6 if len(shown) > 1 else 4.0) * height))
     figure.suptitle(title)
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    panels = list(grid.flat)[: len(shown)]
-    values = []
+    panels, values = list(grid.flat)[: len(shown)], []
     for number, (axes, ensemble) in enumerate(zip(panels, shown, strict=True)):
-        values += _draw_heading_error(axes, ensemble, line_colour(number))
-        _mark_resets(axes, resets_s[ensemble.label])
-        if (floor := floors[ensemble.label]) > _LEAST_FLOOR:
+        for name, column, colour, style in (
+            ("heading error", "phi_u_arcmin", line_colour(number), "-"),
+            ("filter's 1 sigma", "sigma_u_arcmin", "black", "--"),
+        ):
+            runs = np.abs(ensemble.columns.get(column, np.full((1, ensemble.time_s.size), np.nan)))
+            known = np.isfinite(runs).all(axis=0)
+            if known.any():  # else a method without a covariance
+                if style == "-":
+                    _draw_band(axes, ensemble.time_s, runs, colour, _BAND_NAME)
+                values.append(_rms(runs[:, known]))
+                axes.plot(ensemble.time_s[known], values[-1], style, color=colour, label=name)
+        _mark_resets(axes, ensemble.resets_s)
+        if (floor := ensemble.floor_arcmin) > _LEAST_FLOOR:
             axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2, label="bias floor")
             values.append(np.array([floor]))
         axes.set_title(fill(ensemble.label, _LETTERS[width]))
     found = np.concatenate(values)
     low = float(np.quantile(found[found > 0], _DIPS)) if (found > 0).any() else 1.0
     low, high = 0.5 * low, 1.5 * max(float(found.max()), low)
-    set_log_scale(panels[0], low, high)
+    set_log_scale(panels[0].yaxis, low, high)
     panels[0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
     for axes in list(grid.flat)[len(shown) :]:
         axes.set_visible(False)
@@ -299,99 +288,53 @@ def draw_heading_errors(
     return figure
 
 
-def _draw_heading_error(axes: Axes, ensemble: Ensemble, colour: str) -> list[NDArray]:
-    """Draw the heading error of a line and the filter's 1 sigma; return the rms of both, (T,)."""
-    found = []
-    for name, column, shade, style in (
-        ("heading error", "phi_u_arcmin", colour, "-"),
-        ("filter's 1 sigma", "sigma_u_arcmin", "black", "--"),
-    ):
-        values = np.abs(ensemble.columns.get(column, np.full((1, ensemble.time_s.size), np.nan)))
-        known = np.isfinite(values).all(axis=0)
-        if not known.any():
-            continue  # a method without a covariance
-        time, values = ensemble.time_s[known], values[:, known]
-        if column == "phi_u_arcmin" and len(values) > 1:
-            low, high = np.quantile(values, BAND, axis=0)
-            axes.fill_between(time, low, high, color=colour, alpha=_FAINT, linewidth=0)
-            _name_band(axes)
-        found.append(_rms(values))
-        axes.plot(time, found[-1], style, color=shade, label=name)
-    return found
-
-
 @with_style
-def draw_level_errors(
-    ensembles: Sequence[Ensemble], title: str, resets_s: Sequence[float] = ()
-) -> Figure:
-    """Draw the errors about east and north over time, dashed the filter's own 1 sigma.
+def draw_lines(ensembles: Sequence[Ensemble], title: str, names: Mapping[str, str]) -> Figure:
+    """Draw the mean of some columns over time, a panel for each, dashed the filter's own 1 sigma.
+
+    It is drawn about zero for errors, about the mean for an attitude in deg.
 
     Args:
-        ensembles: one line each, with the columns of phi, and of sigma if it is known.
+        ensembles: one line each, with the columns, and those of sigma if it is known.
         title: title of the figure.
-        resets_s: dotted lines at reset times, s.
+        names: axis labels by column, such as ``phi_e_arcmin`` or ``yaw_deg``.
     """
-    figure = Figure(figsize=(9.2, 5.6))
+    figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(names)))
     figure.suptitle(title)
-    panels = figure.subplots(2, 1, sharex=True)
-    for axes, (axis, name) in zip(panels, _LEVEL_NAMES.items(), strict=True):
-        top, end = 0.0, math.inf
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (column, name) in zip(panels, names.items(), strict=True):
+        angle, is_error = _SIGMA_AXES.get(column), column.startswith("phi")
+        edges, end = [], math.inf
         for i, ensemble in enumerate(ensembles):
-            values = ensemble.columns[f"phi_{axis}_arcmin"]
-            draw_mean_and_band(axes, Line(ensemble.label, ensemble.time_s, values, line_colour(i)))
-            top = max(top, float(np.nanmax(np.abs(values), initial=0.0)))
-            end = min(end, float(np.abs(values[:, -1]).max()))
-            sigma = ensemble.columns.get(f"sigma_{axis}_arcmin", np.full((1, 1), np.nan))
-            sigma = sigma.mean(axis=0)
-            top = max(top, float(np.nanmax(sigma, initial=0.0)))
+            time, values = ensemble.time_s, ensemble.columns[column]
+            draw_mean_and_band(axes, ensemble.label, time, values, line_colour(i))
+            sigma = ensemble.columns.get(f"sigma_{angle}_arcmin", np.full((1, time.size), np.nan))
+            sigma = sigma.mean(axis=0) / (1 if is_error else 60)
+            middle = 0.0 if is_error else values.mean(axis=0)
             for side in (sigma, -sigma) if np.isfinite(sigma).any() else ():
                 style: Any = {"color": line_colour(i), "linewidth": 0.9, "alpha": 0.8}
-                axes.plot(ensemble.time_s, side, "--", **style)
-        if any(e.columns[f"phi_{axis}_arcmin"].shape[0] > 1 for e in ensembles):
-            _name_band(axes)
+                axes.plot(time, middle + side, "--", **style)
+                known = (middle + side)[np.isfinite(middle + side)]
+                if known.size and not is_error:
+                    # Without the spikes at resets, which would flatten the rest.
+                    known = np.quantile(known, _SPIKES)
+                edges.append(known)
+            edges.append(values[np.isfinite(values)])
+            end = min(end, float(np.abs(values[:, -1]).max()))
+        if axes.collections:
+            axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label=_BAND_NAME)
         if any(line.get_linestyle() == "--" for line in axes.get_lines()):
             axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
-        _mark_resets(axes, resets_s)
-        if top > _WIDE * max(end, 0.1):  # a linear axis would hide the end
+        _mark_resets(axes, sorted({time for e in ensembles for time in e.resets_s}))
+        known = np.concatenate(edges)
+        if is_error and np.abs(known).max(initial=0.0) > _WIDE * max(end, 0.1):
+            # A linear axis would hide the end.
             axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(max(end, 0.1))))
             axes.yaxis.set_major_formatter("{x:g}")
+        elif known.size and not is_error:
+            margin = 0.05 * max(float(np.ptp(known)), 0.01)
+            axes.set_ylim(known.min() - margin, known.max() + margin)
         axes.set_ylabel(name)
     panels[-1].set(xlabel="time (s)", xlim=(0, max(e.time_s[-1] for e in ensembles)))
     add_legend_below(figure, panels[-1])
-    return figure
-
-
-@with_style
-def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
-    """Pitch, roll and yaw with the filter's 1 sigma shaded, for runs without a truth.
-
-    Args:
-        ensembles: one line each: the mean over its runs, and their mean sigma.
-        title: title of the figure.
-    """
-    angles = [angle for angle in _ANGLES if _has_values(ensembles, f"{angle}_deg")]
-    figure = Figure(figsize=(9.2, 7.2 * len(angles) / 3))
-    figure.suptitle(title)
-    panels = figure.subplots(len(angles), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, angle in zip(panels, angles, strict=True):
-        edges = []
-        for i, ensemble in enumerate(ensembles):
-            values = ensemble.columns[f"{angle}_deg"].mean(axis=0)
-            sigma = ensemble.columns[f"sigma_{_ANGLES[angle]}_arcmin"].mean(axis=0) / 60
-            axes.plot(ensemble.time_s, values, color=line_colour(i), label=ensemble.label)
-            low, high = values - sigma, values + sigma
-            axes.fill_between(
-                ensemble.time_s, low, high, color=line_colour(i), alpha=0.18, linewidth=0
-            )
-            edges.append(values)
-            if (there := np.isfinite(sigma)).any():
-                edges += [np.quantile(edge[there], _SPIKES) for edge in (low, high)]
-        known = np.concatenate(edges)
-        known = known[np.isfinite(known)]
-        if known.size:  # without the spikes of sigma at resets, which would flatten the rest
-            margin = 0.05 * max(float(np.ptp(known)), 0.01)
-            axes.set_ylim(known.min() - margin, known.max() + margin)
-        axes.set_ylabel(f"{angle} (deg)")
-    panels[-1].set_xlabel("time (s)")
-    add_legend_below(figure, panels[0])
     return figure

@@ -3,12 +3,15 @@
 import io
 from collections.abc import Callable
 from functools import wraps
+from textwrap import fill
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 from matplotlib.ticker import (
@@ -25,9 +28,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 
 GREY = "#8a8a8a"
 """Colour of annotations: reset times, bias floors, cells without a number."""
-
-ABOVE_SCALE = " (tip: above the scale)"
-"""End of the label of a colour bar with values above it."""
 
 LETTERS = 7
 """Characters per inch in the title of a figure."""
@@ -103,19 +103,37 @@ def colour_range(values: NDArray) -> tuple[float, float]:
     return low, high if high > low else low + 1
 
 
-def set_log_scale(axes: Axes, low: float, high: float) -> None:
-    """Make a vertical axis logarithmic, with plain numbers at its ticks.
+def set_log_scale(axis: Axis, low: float, high: float) -> None:
+    """Make an axis logarithmic, with plain numbers at its ticks.
 
     Args:
-        axes: axes with it.
+        axis: x or y axis.
         low: lowest of the values to show, positive.
         high: highest of them; a range below two decades has ticks within decades too.
     """
-    axes.set_yscale("log")
-    is_narrow = high < 100 * low
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_narrow else (1.0,)))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def add_colour_bar(
+    figure: Figure, axes: Any, image: ScalarMappable, name: str, values: NDArray, letters: int
+) -> None:
+    """Add a colour bar; the tip of its label stands for values above the scale.
+
+    Args:
+        figure: figure with the axes.
+        axes: axes that it is for.
+        image: what has the colours.
+        name: name of the values, with their unit.
+        values: all finite values.
+        letters: characters per line of the label.
+    """
+    above = bool((values > image.norm.vmax).any())
+    label = fill(f"{name}{' (tip: above the scale)' if above else ''}", letters)
+    extend = "max" if above else "neither"
+    figure.colorbar(image, ax=axes, label=label, aspect=30, extend=extend)
 
 
 def add_legend_below(figure: Figure, axes: Axes) -> None:

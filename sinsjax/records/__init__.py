@@ -6,6 +6,7 @@ Every user mistake raises `InputError` with one line that names the file and the
 
 from pathlib import Path
 
+from sinsjax.errors import InputError
 from sinsjax.records.arrays import record_from_arrays
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -54,5 +55,7 @@ def read_record(path: str | Path, layout: RecordLayout) -> Record:
         >>> sinsjax.read_record("car.imu", PSINS_LAYOUT).dv.shape  # m/s per sample
         (90000, 3)
     """
-    check_layout(layout, str(path))
+    if layout.format not in _READERS:
+        known = ", ".join(_READERS)
+        raise InputError(f"{path}: format: {layout.format!r} is not one of {known}")
     return _READERS[layout.format](path, layout)

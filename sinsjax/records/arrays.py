@@ -1,24 +1,22 @@
 """Records and reference attitudes from arrays in memory: NumPy, pandas, Polars, Arrow."""
 
-from collections.abc import Collection, Sequence
-from datetime import datetime
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_error_line, shorten
-from sinsjax.records.layout import FloatArray, RecordLayout, find_fault, message_key
-from sinsjax.records.reader import Table, check_values, find_columns
+from sinsjax.messages import first_error_line
+from sinsjax.records.layout import RecordLayout, check_layout
+from sinsjax.records.reader import Table
 from sinsjax.records.reference import Reference, StoredRecord, reference_from_table
 from sinsjax.records.tabular import record_from_table
 
-_ARRAY_LAYOUT = RecordLayout("arrays")
 _AXIS_SUFFIXES = tuple(f"[:, {axis}]" for axis in range(3))
 
 
-def record_from_arrays(
+def record_from_arrays(  # noqa: PLR0913
     time: Any,
     gyro: Any,
     accel: Any,
@@ -75,7 +73,7 @@ def record_from_arrays(
         0.098
     """
     layout = RecordLayout(
-        format="csv",  # with the fields of any table
+        format="arrays",
         time_column="" if time is None else "time",
         gyro_columns=tuple(f"gyro{suffix}" for suffix in _AXIS_SUFFIXES),
         accel_columns=tuple(f"accel{suffix}" for suffix in _AXIS_SUFFIXES),
@@ -87,91 +85,42 @@ def record_from_arrays(
         time_unit=time_unit,
         max_gap_s=max_gap_s,
     )
-    if time_unit == "iso":
-        raise InputError(
-            f"{source}: time_unit: 'iso' is for files (pass dates as a datetime array)"
-        )
-    if time is None and rate_hz is None:
-        raise InputError(f"{source}: rate_hz: required if time is None")
-    if fault := find_fault(layout):
-        raise InputError(f"{source}: {message_key(_ARRAY_LAYOUT, fault.key)}: {fault.text}")
-    layout = layout._replace(format=_ARRAY_LAYOUT.format)
-    columns, rows = dict[str, FloatArray](), dict[str, int]()
+    check_layout(layout, source)
+    columns: dict[str, pa.ChunkedArray] = {}
     for name, array in (("gyro", gyro), ("accel", accel)):
-        vectors = _to_floats(source, name, array)
+        vectors = array.filled(np.nan) if hasattr(array, "filled") else np.asarray(array)
         if vectors.ndim != 2 or vectors.shape[1] != 3:
             raise InputError(f"{source}: {name}: must have the shape (T, 3), not {vectors.shape}")
-        columns |= zip((f"{name}{suffix}" for suffix in _AXIS_SUFFIXES), vectors.T, strict=True)
-        rows[name] = len(vectors)
+        for suffix, values in zip(_AXIS_SUFFIXES, vectors.T, strict=True):
+            columns[f"{name}{suffix}"] = _to_arrow(source, f"{name}{suffix}", values)
     if time is not None:
-        columns["time"], is_date = _to_column(source, "time", time)
-        layout = layout._replace(time_unit="iso" if is_date else time_unit)
-        rows["time"] = len(columns["time"])
-    for name, count in rows.items():
-        if count != rows["gyro"] or not count:
-            raise InputError(f"{source}: {name}: has {count} rows, gyro {rows['gyro']}")
-    record = record_from_table(source, layout, _make_table(source, columns))
+        columns["time"] = _to_arrow(source, "time", time)
+        if pa.types.is_timestamp(columns["time"].type):
+            layout = layout._replace(time_unit="iso")
+    record = record_from_table(layout, _make_table(source, columns))
     record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
     return StoredRecord.from_record(record, _make_reference(f"{source}: reference", reference))
 
 
-def _to_floats(source: str, name: str, values: Any) -> FloatArray:
-    """Return an array or table as float64, nan if missing; may be the caller's own array."""
-    if hasattr(values, "filled"):  # of a masked array
-        values = values.astype(float).filled(np.nan)
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        cells = np.asarray(values, dtype=object)
-    numbers = np.empty(cells.shape)
-    for index, cell in np.ndenumerate(cells):
-        try:
-            numbers[index] = np.nan if _is_missing(cell) else float(cell)
-        except (TypeError, ValueError):
-            column = name + "".join(f"[:, {axis}]" for axis in index[1:])
-            text = f"{shorten(repr(cell), 32)} is not a number"
-            raise InputError(f"{source}: row {index[0]}: column {column!r}: {text}") from None
-    return numbers
-
-
-def _is_missing(cell: Any) -> bool:
-    """Return whether a cell is None, NA or NaT, which pandas neither compares nor converts."""
-    return cell is None or type(cell).__name__ in ("NAType", "NaTType")
-
-
-def _to_column(source: str, name: str, values: Any) -> tuple[FloatArray, bool]:
-    """Return a column as numbers, and whether they are seconds since 1970 from dates."""
+def _to_arrow(source: str, name: str, values: Any) -> pa.ChunkedArray:
+    """Return a column of any library as numbers or dates; null if missing."""
     array = np.asarray(values)
-    if array.dtype.kind == "O" and array.ndim == 1:  # pandas stores dates with a zone as objects
-        first = next((cell for cell in array if not _is_missing(cell)), None)
-        if isinstance(first, datetime):
-            try:
-                dates = pa.array(values, pa.timestamp("ns", "UTC"), from_pandas=True)
-            except (pa.ArrowException, TypeError, ValueError) as error:
-                reason = f"not dates with time: {first_error_line(error)}"
-                raise InputError(f"{source}: {name}: {reason}") from None
-            array = dates.to_numpy(zero_copy_only=False)
-    if array.dtype.kind == "M":
-        nanoseconds = array.astype("datetime64[ns]").astype(np.int64) * 1e-9
-        return np.where(np.isnat(array), np.nan, nanoseconds), True
-    numbers = _to_floats(source, name, values)
-    if numbers.ndim != 1:
-        raise InputError(f"{source}: {name}: must have the shape (T,), not {numbers.shape}")
-    return numbers, False
+    if array.ndim != 1:
+        raise InputError(f"{source}: {name}: must have the shape (T,), not {array.shape}")
+    array = array.astype(float) if array.dtype.kind in "iuf" else array
+    try:  # dates with a zone, and missing ones of pandas, are objects
+        return pa.chunked_array([pa.array(array, from_pandas=True)])
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        raise InputError(f"{source}: {name}: {first_error_line(error)}") from None
 
 
-def _make_table(source: str, columns: dict[str, FloatArray]) -> Table:
+def _make_table(source: str, columns: Mapping[str, pa.ChunkedArray]) -> Table:
     """Return columns in memory as an opened table, whose rows count from 0."""
-
-    def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> list[FloatArray]:
-        find_columns(source, list(columns), wanted)
-        for name in wanted:
-            check_values(source, name, columns[name], 0, blanks=blanks)
-        return [columns[name].copy() for name in wanted]  # which the reader changes
-
-    return Table(list(columns), read, lambda k: k, "arrays")
+    names, rows = [*columns], {name: len(column) for name, column in columns.items()}
+    if len({*rows.values()}) > 1 or not rows[names[0]]:
+        counts = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise InputError(f"{source}: columns must have the same number of rows, not 0: {counts}")
+    return Table(source, names, lambda index: [columns[names[k]] for k in index], int, "arrays")
 
 
 def _make_reference(source: str, reference: Any) -> Reference | None:
@@ -181,7 +130,5 @@ def _make_reference(source: str, reference: Any) -> Reference | None:
     names = getattr(reference, "column_names", None)  # for Arrow, whose `columns` are arrays
     if names is None:
         names = getattr(reference, "columns", reference)
-    columns = {str(name): _to_column(source, str(name), reference[name])[0] for name in names}
-    if len({*map(len, columns.values())}) != 1 or not len(next(iter(columns.values()))):
-        raise InputError(f"{source}: its columns must have one number per row, and some rows")
-    return reference_from_table(source, _make_table(source, columns))
+    columns = {str(name): _to_arrow(source, str(name), reference[name]) for name in names}
+    return reference_from_table(_make_table(source, columns))

@@ -7,36 +7,31 @@ turned about the vertical. Gyros that do not show that rate cannot find north, w
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sinsjax.messages import format_count
 from sinsjax.records.layout import (
     ACCEL_UNITS,
-    GYRO_UNITS,
-    Anomaly,
+    Finding,
+    FloatArray,
     Record,
     RecordLayout,
     find_spans,
-    increment_factor,
-    message_key,
+    rate_factor,
 )
 from sinsjax.records.motion import EARTH_RATE, Means, compute_means, white_noise
 from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
 
-GYRO_BIAS = 10.0 * DEG_PER_H
-"""Largest gyro bias that raises no doubt, rad/s."""
+GYRO_BIAS, ACCEL_BIAS_UG = 10.0 * DEG_PER_H, 5000.0
+"""Largest biases that raise no doubt, rad/s and ug."""
 
 LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
 """The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
 
-ACCEL_BIAS_UG = 5000.0
-"""Largest accelerometer bias that raises no doubt, ug."""
-
+_NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _MAX_G, _MAX_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
-_MAX_REPORTED = 6  # anomalies that may be harmless, in messages
+_MAX_REPORTED = 6  # anomalies, in messages
 _REMOVED_SHARE = 0.01  # of Earth rate, in every gyro: biases do not cancel it so well in all three
 _STUCK_S = 1.0  # of all six channels: a single coarse one may repeat for long
 _LOW_NOISE = 0.1 * DEG_PER_SQRT_H  # of gyros that are no MEMS
@@ -58,24 +53,19 @@ class StationaryValues(NamedTuple):
     earth_rate: float
     latitude: float
     gravity: float
-    gyro_bias: float
-    accel_bias: float
-    low_noise_gyro_bias: float = math.inf  # at rest, if the gyros have little noise
+    gyro_bias_deg_per_h: float | None = None  # None for the usual ones
+    accel_bias_ug: float | None = None
 
-    @classmethod
-    def with_biases(
-        cls,
-        *,
-        gyro_bias_deg_per_h: float | None = None,
-        accel_bias_ug: float | None = None,
-        **place: float,
-    ) -> "StationaryValues":
-        """Return the values of a place with the biases that a user accepts, or the usual ones."""
-        gyro, low_noise = GYRO_BIAS, LOW_NOISE_GYRO_BIAS
-        if gyro_bias_deg_per_h is not None:
-            gyro, low_noise = gyro_bias_deg_per_h * DEG_PER_H, math.inf
-        accel = (ACCEL_BIAS_UG if accel_bias_ug is None else accel_bias_ug) * micro_g()
-        return cls(**place, gyro_bias=gyro, accel_bias=accel, low_noise_gyro_bias=low_noise)
+    @property
+    def gyro_bias(self) -> float:
+        """Largest gyro bias, rad/s."""
+        given = self.gyro_bias_deg_per_h
+        return GYRO_BIAS if given is None else given * DEG_PER_H
+
+    @property
+    def accel_bias(self) -> float:
+        """Largest accelerometer bias, m/s^2."""
+        return (ACCEL_BIAS_UG if self.accel_bias_ug is None else self.accel_bias_ug) * micro_g()
 
     @property
     def horizontal_rate(self) -> float:
@@ -83,95 +73,77 @@ class StationaryValues(NamedTuple):
         return self.earth_rate * math.cos(self.latitude)
 
 
-class Finding(NamedTuple):
-    """Something implausible, or certainly wrong, without the file."""
-
-    is_certain: bool
-    text: str
-    hides_north: bool = False  # pitch and roll can be found, but no heading
-
-
 # Samples
 
 
 def find_anomalies(
     names: Sequence[str],
-    columns: Sequence[NDArray[Any]],
-    factors: Sequence[float],
+    values: FloatArray,
+    factors: FloatArray,
     rate_hz: float,
     row_number: Callable[[int], int],
-) -> tuple[Anomaly, ...]:
+) -> tuple[Finding, ...]:
     """Return samples out of range, removed Earth rate, and channels that are stuck.
 
-    They are found while a file is read, since only then its rows are known. Columns (T,) are those
-    of three gyros, then of three accelerometers; factors convert them to rad/s or m/s^2.
+    They are found while a file is read, since only then its rows are known. Values (T, 6) are those
+    of three gyros, then of three accelerometers; factors (6,) convert them to rad/s or m/s^2.
     """
-    count, found = len(columns[0]), list[Anomaly]()
+    count, found = len(values), list[Finding]()
 
     def rows(begin: int, end: int) -> str:
         first, last = row_number(begin), row_number(end - 1)
         return f"row {first}" if first == last else f"rows {first} to {last}"
 
-    for channel, (name, values, factor) in enumerate(zip(names, columns, factors, strict=True)):
-        unit, word, limit = (DEG, "deg/s", _MAX_DEG_PER_S)
+    for channel, (name, factor) in enumerate(zip(names, factors, strict=True)):
+        unit, word, limit = DEG, "deg/s", _MAX_DEG_PER_S
         if channel >= 3:
-            unit, word, limit = (STANDARD_GRAVITY, "g", _MAX_G)
-        size, largest = np.abs(values), limit * unit / abs(factor)
-        is_large = size > largest
-        if not is_large.any() or np.nanmedian(size) > 0.1 * largest:
+            unit, word, limit = STANDARD_GRAVITY, "g", _MAX_G
+        sizes = np.abs(values[:, channel]) * (abs(factor) / unit)
+        if np.nanmedian(sizes) > 0.1 * limit:
             continue  # if most are large, the unit is wrong, which the mean reveals
-        for begin, end in find_spans(is_large):
-            value = float(values[begin])
+        for begin, end in find_spans(sizes > limit):
+            value = values[begin, channel]
             text = (
                 f"{rows(begin, end)}: column {name!r}: {value:.6g} is"
                 f" {value * factor / unit:.4g} {word}, and no base at rest has more than"
                 f" {limit:g} {word}: leave such cells empty, as missing samples"
             )
-            found.append(Anomaly(begin, end, True, text))
-    constant = [bool(v[0] == v[-1] and (v == v[0]).all()) for v in columns]
-    if not any(constant[:3]):
-        means = [abs(float(np.nanmean(v)) * f) for v, f in zip(columns, factors, strict=True)]
-        if max(means[:3]) < _REMOVED_SHARE * EARTH_RATE:
-            # Only the mean over the whole log shows it; that of a part depends on its sways.
-            text = "the mean of each gyro over the whole log is below 1% of Earth rate: has"
-            found.append(Anomaly(0, count, False, f"{text} Earth rate been removed?", True))
+            found.append(Finding(True, text, begin=begin, end=end))
+    constant = (values == values[0]).all(axis=0)
+    means = np.abs(np.nanmean(values[:, :3], axis=0) * factors[:3])
+    if not constant[:3].any() and means.max() < _REMOVED_SHARE * EARTH_RATE:
+        # Only the mean over the whole log shows it; that of a part depends on its sways.
+        text = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate"
+        found.append(Finding(False, f"{text} been removed?", True, 0, count))
     if count < (stuck := max(2, round(_STUCK_S * rate_hz))):
         return tuple(found)
-    if all(constant):
+    if constant.all():
         text = "no channel changes in any row: is this a log of sensors?"
-        return (*found, Anomaly(0, count, False, text))
-    for name, values, is_constant in zip(names, columns, constant, strict=True):
-        if is_constant:
-            text = f"column {name!r} is {float(values[0]):.6g} in every row: is that sensor dead?"
-            found.append(Anomaly(0, count, False, text))
-    unchanged = np.logical_and.reduce([values[1:] == values[:-1] for values in columns])
-    for begin, last in find_spans(unchanged):
+        return (*found, Finding(False, text, begin=0, end=count))
+    for channel in np.flatnonzero(constant).tolist():
+        value = f"{values[0, channel]:.6g}"
+        text = f"column {names[channel]!r} is {value} in every row: is that sensor dead?"
+        found.append(Finding(False, text, begin=0, end=count))
+    for begin, last in find_spans((values[1:] == values[:-1]).all(axis=1)):
         if last + 1 - begin >= stuck:
             text = (
                 f"{rows(begin, last + 1)}: all six channels are stuck for"
                 f" {(last + 1 - begin) / rate_hz:.3g} s: did the sensor or the logger stop?"
             )
-            found.append(Anomaly(begin, last + 1, False, text))
+            found.append(Finding(False, text, begin=begin, end=last + 1))
     return tuple(found)
 
 
 def report_anomalies(
-    anomalies: Sequence[Anomaly], spans: Sequence[tuple[int, int]]
-) -> Iterator[Anomaly]:
-    """Yield the anomalies within some spans of samples (from, to before), for messages.
-
-    Certain errors are reduced to the first one and the number of others.
-    """
+    anomalies: Sequence[Finding], spans: Sequence[tuple[int, int]]
+) -> list[Finding]:
+    """Return the first anomalies in spans of samples (from, to before), certain ones first."""
     relevant = [
         anomaly
         for anomaly in anomalies
         if any(anomaly.begin < end and anomaly.end > begin for begin, end in spans)
     ]
-    if certain := sorted(anomaly for anomaly in relevant if anomaly.is_certain):
-        count = format_count(len(certain) - 1, "more such place")
-        more = f"; {count}" if len(certain) > 1 else ""
-        yield certain[0]._replace(text=certain[0].text + more)
-    yield from [anomaly for anomaly in relevant if not anomaly.is_certain][:_MAX_REPORTED]
+    return sorted(relevant, key=lambda anomaly: not anomaly.is_certain)[:_MAX_REPORTED]
 
 
 # Means
@@ -189,8 +161,16 @@ def check_stationary(
     noise = white_noise(record.dtheta[span[0] : span[1]][:_NOISE_SAMPLES], record.rate_hz)
     return [
         *_check_force(means, layout, record.rate_hz, expected),
-        *_check_gyros(means, layout, record.rate_hz, expected, noise),
+        *_check_gyros(means, expected, noise),
     ]
+
+
+def gravity_units(magnitude: float, rate_hz: float = math.nan) -> list[str]:
+    """Return the units in which the magnitude of a mean specific force is that of gravity."""
+    return [
+        unit for units in ACCEL_UNITS.values() for unit in units
+        if abs(magnitude * rate_factor(unit, rate_hz) / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY
+    ]  # fmt: skip
 
 
 def _check_force(
@@ -199,25 +179,24 @@ def _check_force(
     ratio = means.force_magnitude / expected.gravity
     if abs(ratio - 1) * expected.gravity > expected.accel_bias:
         is_certain = not 1 / _CERTAIN_FACTOR < ratio < _CERTAIN_FACTOR
-        text = f"the mean specific force is {means.force_magnitude:.5g} m/s^2, {ratio:.3g} times"
-        unit = _suggest_unit(ACCEL_UNITS, layout.accel_unit, layout, rate_hz, 1 / ratio, 0.1)
         bias = abs(ratio - 1) * expected.gravity / micro_g()
         cause = f"an accelerometer bias of {bias:.2g} ug or more would explain it"
-        if unit or is_certain:
-            cause = unit or "has gravity been removed, or is the accelerometer scale wrong?"
+        if is_certain:
+            cause = "has gravity been removed, or is the accelerometer scale wrong?"
+        magnitude = means.force_magnitude / rate_factor(layout.accel_unit, rate_hz)
+        units = [] if layout.format == "psins" else gravity_units(magnitude, rate_hz)
+        if units and layout.accel_unit not in units:
+            cause = f"are these {units[0]}?"
+        text = f"the mean specific force is {means.force_magnitude:.5g} m/s^2, {ratio:.3g} times"
         yield Finding(is_certain, f"{text} gravity: {cause}")
     length = float(np.linalg.norm(means.force)) or 1.0
     tilt = math.acos(max(-1.0, min(1.0, means.force[2] / length)))
-    key = message_key(layout, "axes_order")
     if tilt > 90 * DEG:
-        hint = " ('yx-z' for front-right-down)" if layout.axes_order in ("xyz", "rfu") else ""
-        text = (
-            f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
-            f" {key}{hint} and the sign of the accelerometers right?"
-        )
-        yield Finding(True, text)
+        text = f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
+        hint = " the axes ('yx-z' for front-right-down) and signs of the accelerometers right?"
+        yield Finding(True, text + hint)
     elif tilt > _MAX_TILT:
-        yield Finding(False, f"the up axis is tilted by {tilt / DEG:.3g} deg: is {key} right?")
+        yield Finding(False, f"the up axis is tilted by {tilt / DEG:.3g} deg: are the axes right?")
 
 
 def finds_north_by_turns(means: Means, expected: StationaryValues) -> bool:
@@ -230,16 +209,13 @@ def finds_north_by_turns(means: Means, expected: StationaryValues) -> bool:
     return is_measured and abs(turns.drift - horizontal) <= allowed
 
 
-def _check_gyros(
-    means: Means, layout: RecordLayout, rate_hz: float, expected: StationaryValues, noise: float
-) -> list[Finding]:
+def _check_gyros(means: Means, expected: StationaryValues, noise: float) -> list[Finding]:
     """Return the finding about the gyros, if any.
 
     Earth rate in the body axes shows nothing if the base is turned, which its turns make up for.
     """
     turns, parked_turn = means.turns, (expected.earth_rate + expected.gyro_bias) * means.length_s
-    hidden = _describe_hidden_north(means, layout, rate_hz, expected)
-    findings = [] if hidden else [*_check_rate(means, expected, noise)]
+    hidden = _describe_hidden_north(means, expected)
     if turns is not None and (hidden or turns.angle > _MIN_TURN + parked_turn):
         turned = f"by its gyros the base turns by {turns.angle / DEG:.3g} deg, and"
         if finds_north_by_turns(means, expected):
@@ -250,36 +226,29 @@ def _check_gyros(
             return [Finding(False, f"{text} right?")]
         is_measured = turns.drift_uncertainty <= expected.horizontal_rate / 5
         is_wrong = is_measured or turns.accel_bias * expected.gravity > expected.accel_bias
-        if not hidden and is_wrong:
-            hidden = (
-                f"{turned} in the frame of its gyros the vertical drifts by"
-                f" {turns.drift / DEG_PER_H:.3g} deg/h, and not by the horizontal Earth rate of"
-                f" {expected.horizontal_rate / DEG_PER_H:.3g}: are unit, axes and signs right?"
-            )
-        elif not hidden:
+        if not hidden and not is_wrong:
             return [Finding(False, f"{turned} whether its gyros find north cannot be determined")]
+        hidden = hidden or (
+            f"{turned} in the frame of its gyros the vertical drifts by"
+            f" {turns.drift / DEG_PER_H:.3g} deg/h, and not by the horizontal Earth rate of"
+            f" {expected.horizontal_rate / DEG_PER_H:.3g}: are unit, axes and signs right?"
+        )
     if not hidden:
-        return findings
+        return [*_check_rate(means, expected, noise)]
     if means.tilt_change > _MAX_PARKED_TURN:
         angle = means.tilt_change / DEG
         return [Finding(True, f"the vertical moves by {angle:.3g} deg in the body, and {hidden}")]
     return [Finding(False, f"{hidden}: no heading can be found", hides_north=True)]
 
 
-def _describe_hidden_north(
-    means: Means, layout: RecordLayout, rate_hz: float, expected: StationaryValues
-) -> str:
+def _describe_hidden_north(means: Means, expected: StationaryValues) -> str:
     """Return why the gyros show no Earth rate; "" if they may."""
     earth, horizontal = expected.earth_rate, expected.horizontal_rate
-    magnitude, unit = max(means.magnitude, 1e-300), ""
-    bias, vertical = abs(magnitude - earth), earth * math.sin(expected.latitude)
-    if abs(means.vertical_rate / magnitude - math.sin(expected.latitude)) < 0.2:
-        ratio = earth / magnitude
-        unit = _suggest_unit(GYRO_UNITS, layout.gyro_unit, layout, rate_hz, ratio, 0.5)
-    mirrored = abs(means.vertical_rate + vertical) + means.vertical_uncertainty
+    magnitude, vertical = max(means.magnitude, 1e-300), earth * math.sin(expected.latitude)
     turned_square = ((earth + expected.gyro_bias) * means.length_s) ** 2
     if abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal:
-        cause = f"a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more hides Earth rate"
+        bias = abs(magnitude - earth) / DEG_PER_H
+        cause = f"a gyro bias of {bias:.3g} deg/h or more, or a wrong unit, hides Earth rate"
     elif (
         means.vertical_drift + means.drift_uncertainty < horizontal / 2
         or magnitude + means.vertical_uncertainty < earth / _CERTAIN_FACTOR
@@ -287,12 +256,14 @@ def _describe_hidden_north(
         cause = "has Earth rate been removed, or are the gyros' unit, axes or signs wrong?"
     elif means.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
         cause = "the gyros do not follow the vertical: are their unit, axes and signs right?"
-    elif mirrored < _MIRRORED * abs(vertical):
+    elif abs(means.vertical_rate + vertical) + means.vertical_uncertainty < _MIRRORED * abs(
+        vertical
+    ):
         cause = "its vertical part has the wrong sign: are the gyros' axes and the latitude right?"
     else:
         return ""
-    text = f"the mean rate is {magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times"
-    return f"{text} Earth rate: {unit + ' or ' if unit else ''}{cause}"
+    ratio = f"{magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times Earth rate"
+    return f"the mean rate is {ratio}: {cause}"
 
 
 def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Iterator[Finding]:
@@ -319,55 +290,28 @@ def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Itera
         return
     if means.length_s < _SHORT_S:
         return
-    magnitude, up = means.magnitude, means.vertical_rate
     is_quiet = noise < _LOW_NOISE and uncertainty < 0.1 * earth
-    largest = min(expected.gyro_bias, expected.low_noise_gyro_bias if is_quiet else math.inf)
-    bias, up_bias = abs(magnitude - earth), abs(up - earth * math.sin(expected.latitude))
-    accepted = math.ceil(10 * max(bias, up_bias) / DEG_PER_H) / 10
-    key = f"[record] gyro_bias_deg_per_h = {accepted:g} if so"
+    is_usual = expected.gyro_bias_deg_per_h is None
+    largest = LOW_NOISE_GYRO_BIAS if is_quiet and is_usual else expected.gyro_bias
+    up_bias = means.vertical_rate - earth * math.sin(expected.latitude)
+    bias = math.hypot(up_bias, means.vertical_drift - expected.horizontal_rate)
+    # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
+    off_earth = abs(means.magnitude - earth)
+    sigma = math.hypot(uncertainty / 3, off_earth, _BIAS_PER_ARW * noise / 60) / earth
+    measured = (
+        f"the mean rate is {means.magnitude / DEG_PER_H:.3g} deg/h,"
+        f" {means.magnitude / earth:.3g} times Earth rate, of a latitude of"
+        f" {means.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}"
+    )
     if bias > largest + uncertainty:
+        accepted = math.ceil(10 * bias / DEG_PER_H) / 10
         text = (
-            f"the mean rate is {magnitude / DEG_PER_H:.3g} deg/h, {magnitude / earth:.3g} times"
-            " Earth rate: are the gyros' unit and scale right, or is there a gyro bias of"
-            f" {bias / DEG_PER_H:.3g} deg/h or more ({key})? The heading cannot be trusted, nor"
-            " pitch and roll of 'inertial' or 'optimisation' ('level' finds these)"
+            f"{measured}: are the gyros' unit and scale, their axes and the latitude right, or is"
+            f" there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
+            f" gyro_bias_deg_per_h = {accepted:g} if so)? The heading cannot be trusted, nor pitch"
+            " and roll of 'inertial' or 'optimisation' ('level' finds these)"
         )
         yield Finding(False, text)
-    elif up_bias > largest + uncertainty:
-        vertical = earth * math.sin(expected.latitude) / DEG_PER_H
-        text = (
-            f"the rate about the vertical is {up / DEG_PER_H:.3g} deg/h, but Earth rate there is"
-            f" {vertical:.3g}: do gyros and accelerometers share their axes, and is the latitude"
-            f" right, or is there a gyro bias of {up_bias / DEG_PER_H:.3g} deg/h or more ({key})?"
-        )
-        yield Finding(False, text)
-    elif is_quiet:
-        # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
-        sigma = math.hypot(uncertainty / 3, bias, _BIAS_PER_ARW * noise / 60) / earth
-        if abs(means.latitude - expected.latitude) > 5 * sigma:
-            text = (
-                f"gyros and accelerometers give a latitude of {means.latitude / DEG:.4g} deg, give"
-                f" or take {sigma / DEG:.2g}, and not {expected.latitude / DEG:.6g}: is [earth]"
-                " latitude_deg right?"
-            )
-            yield Finding(False, text)
-
-
-def _suggest_unit(
-    units: dict[str, dict[str, float]],
-    current: str,
-    layout: RecordLayout,
-    rate_hz: float,
-    factor: float,
-    tolerance: float,
-) -> str:
-    """Return the question whether another unit explains a mean; PSINS text has fixed units."""
-    if layout.format == "psins":
-        return ""
-    for unit in (unit for known in units.values() for unit in known if unit != current):
-        ratio = increment_factor(unit, rate_hz) / increment_factor(current, rate_hz)
-        if abs(ratio / factor - 1) < tolerance:
-            per_sample = "" if "_per_" in unit or unit in ("g", "mg", "ug") else " per sample"
-            spelling = unit.replace("_per_", "/").replace("s2", "s^2")
-            return f"are these {spelling}{per_sample}?"
-    return ""
+    elif is_quiet and abs(means.latitude - expected.latitude) > 5 * sigma:
+        given = f"{expected.latitude / DEG:.6g}"
+        yield Finding(False, f"{measured}, and not {given}: is [earth] latitude_deg right?")

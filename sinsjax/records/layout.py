@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +38,6 @@ _FACTORS = {
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 """Factors to s, by unit name; ISO dates are read as seconds since 1970."""
 
-_FORMATS = ("psins", "csv", "parquet")
-
 NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
 """Orders of axes by the directions of x, y and z: right, front, left, up or down."""
 
@@ -55,14 +53,14 @@ class Flaw(NamedTuple):
     text: str
 
 
-class Anomaly(NamedTuple):
-    """Samples, from ``begin`` to before ``end``, that are impossible for a base at rest."""
+class Finding(NamedTuple):
+    """What is implausible, or certainly wrong, for a base at rest."""
 
-    begin: int
-    end: int
-    is_certain: bool  # that they are wrong
-    text: str  # without the file
+    is_certain: bool
+    text: str  # the message, without the file
     hides_north: bool = False  # pitch and roll can be found, but no heading
+    begin: int = 0  # its samples, from begin to before end; 0 for those of a whole span
+    end: int = 0
 
 
 class Record(NamedTuple):
@@ -98,7 +96,7 @@ class Record(NamedTuple):
     flaws: tuple[Flaw, ...] = ()
     filled: int = 0
     layout: "RecordLayout | None" = None
-    anomalies: tuple[Anomaly, ...] = ()
+    anomalies: tuple[Finding, ...] = ()
     remarks: tuple[str, ...] = ()
 
 
@@ -138,13 +136,21 @@ class RecordLayout(NamedTuple):
         """The columns of time: none, one, or seconds and their fraction."""
         return tuple(filter(None, (self.time_column, self.time_fraction_column)))
 
+    @property
+    def sensors(self) -> "tuple[Sensor, Sensor]":
+        """The gyros and the accelerometers."""
+        return (
+            Sensor(self.gyro_columns, self.gyro_unit, self.gyro_scale),
+            Sensor(self.accel_columns, self.accel_unit, self.accel_scale),
+        )
 
-_ARGUMENTS = {"time_column": "time", "axes_order": "axes"}
 
+class Sensor(NamedTuple):
+    """Three columns of a file in the record's x, y, z, their unit, and their multipliers."""
 
-def message_key(layout: RecordLayout, key: str) -> str:
-    """Return the name of a layout's key in messages: the key, or the argument for arrays."""
-    return _ARGUMENTS.get(key, key) if layout.format == "arrays" else key
+    columns: tuple[str, ...]
+    unit: str
+    scale: tuple[float, ...]
 
 
 def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -153,106 +159,62 @@ def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(begin, end) for begin, end in edges.tolist()]
 
 
-class Note(NamedTuple):
-    """Reason for the value of a layout's key, the doubt about it, or why it is open; "" if none."""
-
-    reason: str
-    doubt: str = ""
-    question: str = ""
-
-
 PSINS_LAYOUT = RecordLayout("psins")
 """PSINS text with right-front-up axes, at the header's rate."""
 
 
 def check_layout(layout: RecordLayout, source: str) -> None:
     """Reject an invalid layout; the message begins with the source and names the key."""
-    if fault := find_fault(layout):
-        raise InputError(f"{source}: {fault.key}: {fault.text}")
+    for key, text in find_faults(layout):
+        raise InputError(f"{source}: {key}: {text}")
 
 
-class Fault(NamedTuple):
-    """Fault of a layout: the key and the message."""
-
-    key: str
-    text: str
-
-
-def find_fault(layout: RecordLayout) -> Fault | None:
-    """Return the first fault of a layout; None if it is valid."""
-    return next(_iter_faults(layout), None)
-
-
-def _iter_faults(layout: RecordLayout) -> Iterator[Fault]:
-    # Only the first fault is read, so later checks may rely on earlier ones.
-    if layout.format not in _FORMATS:
-        yield Fault("format", _not_one_of_text(layout.format, _FORMATS))
+def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
+    """Yield faults of a layout, key and message; those after the first may be consequences."""
     if layout.rate_hz is not None and not 0 < layout.rate_hz < math.inf:
-        yield Fault("rate_hz", f"must be positive, not {layout.rate_hz!r}")
+        yield "rate_hz", f"must be positive, not {layout.rate_hz!r}"
     try:
         parse_axes_order(layout.axes_order)
     except ValueError as error:
-        yield Fault("axes_order", str(error))
-    if len(layout.mounting_deg) != 3 or not all(map(math.isfinite, layout.mounting_deg)):
-        yield Fault("mounting_deg", "must have a finite pitch, roll and yaw")
+        yield "axes_order", str(error)
     if layout.format == "psins":
         return
     for key, units in (
-        ("gyro_unit", {**GYRO_UNITS[INCREMENTS], **GYRO_UNITS[RATES]}),
-        ("accel_unit", {**ACCEL_UNITS[INCREMENTS], **ACCEL_UNITS[RATES]}),
+        ("gyro_unit", GYRO_UNITS[INCREMENTS] | GYRO_UNITS[RATES]),
+        ("accel_unit", ACCEL_UNITS[INCREMENTS] | ACCEL_UNITS[RATES]),
         ("time_unit", TIME_UNITS),
         ("time_fraction_unit", TIME_UNITS),
     ):
         if getattr(layout, key) not in units:
-            yield Fault(key, _not_one_of_text(getattr(layout, key), units))
-    if layout.time_fraction_column and not layout.time_column:
-        yield Fault("time_fraction_column", "requires a time_column")
+            yield key, f"{getattr(layout, key)!r} is not one of {', '.join(units)}"
     key_by_column: dict[str, str] = {}
     for key in ("time_column", "time_fraction_column", "gyro_columns", "accel_columns"):
         names = getattr(layout, key)
         if isinstance(names, str):
             names = (names,) if names else ()
         elif len(names) != 3 or not all(names):
-            yield Fault(key, f"must name three columns, not {len([*filter(None, names)])}")
+            yield key, f"must name three columns, not {len([*filter(None, names)])}"
         for name in names:
             if name in key_by_column:
-                yield Fault(key, f"column {name!r} is already used in {key_by_column[name]}")
+                yield key, f"column {name!r} is already used in {key_by_column[name]}"
             if layout.columns and name not in layout.columns:
-                yield Fault(key, f"column {name!r} is not in columns")
+                yield key, f"column {name!r} is not in columns"
             key_by_column[name] = key
     for key in ("gyro_scale", "accel_scale", "time_scale"):
         if not all(math.isfinite(f) and f for f in np.atleast_1d(getattr(layout, key)).tolist()):
-            yield Fault(key, "must be finite and not 0")
-    yield from _iter_name_faults(layout)
-    if not 0 <= layout.max_gap_s < math.inf:
-        yield Fault("max_gap_s", f"must not be negative, not {layout.max_gap_s!r}")
-    if not layout.time_column and layout.rate_hz is None:
-        yield Fault("rate_hz", "required without a time_column")
-
-
-def _iter_name_faults(layout: RecordLayout) -> Iterator[Fault]:
-    """Yield contradictions between the names of columns and the axes and signs that are given."""
-    for sensor in ("gyro", "accel"):
-        names, scale = getattr(layout, f"{sensor}_columns"), getattr(layout, f"{sensor}_scale")
-        for name, factor in zip(names, scale, strict=True):
+            yield key, "must be finite and not 0"
+    for key, (columns, _, scale) in zip(("gyro", "accel"), layout.sensors, strict=True):
+        for name, factor in zip(columns, scale, strict=True):
             if factor > 0 and re.search(r"(^|[_.\s])(neg(ative)?|minus)([_.\s]|$)", name, re.I):
-                text = f"column {name!r} has a minus in its name: give it a negative {sensor}_scale"
-                yield Fault(f"{sensor}_columns", f"{text} (or name the column otherwise)")
-    words = [re.search(r"roll|pitch|yaw", name.lower()) for name in layout.gyro_columns]
-    turns = [("pitch", "roll", "yaw").index(word[0]) for word in words if word]
-    index, _ = parse_axes_order(layout.axes_order)
-    if set(turns) == {0, 1, 2} and [index[turn] for turn in turns] != [0, 1, 2]:
-        ordered = [layout.gyro_columns[turns.index(index.index(axis))] for axis in range(3)]
-        text = (
-            "must be in the order of x, y, z, where roll is about the front: with axes_order ="
-            f" {layout.axes_order!r} these are {', '.join(map(repr, ordered))}"
-        )
-        yield Fault("gyro_columns", text)
+                text = f"column {name!r} has a minus in its name: give it a negative {key}_scale"
+                yield f"{key}_columns", f"{text} (or name the column otherwise)"
+    if not layout.time_column and layout.rate_hz is None:
+        yield "rate_hz", "required without a time_column"
 
 
-def quantity_of(unit: str) -> str:
-    """Return the quantity of a unit of gyros or accelerometers: increments or rates."""
-    return RATES if unit in {**GYRO_UNITS[RATES], **ACCEL_UNITS[RATES]} else INCREMENTS
+def is_rate(unit: str) -> bool:
+    """Return whether a unit of gyros or accelerometers is of rates, not of increments."""
+    return unit in GYRO_UNITS[RATES] or unit in ACCEL_UNITS[RATES]
 
 
 def unit_factor(unit: str) -> float:
@@ -260,13 +222,9 @@ def unit_factor(unit: str) -> float:
     return _FACTORS[unit]
 
 
-def increment_factor(unit: str, rate_hz: float) -> float:
-    """Return the factor from a unit of gyros or accelerometers to SI increments over a sample."""
-    return unit_factor(unit) / (rate_hz if quantity_of(unit) == RATES else 1.0)
-
-
-def _not_one_of_text(value: str, known: Iterable[str]) -> str:
-    return f"{value!r} is not one of {', '.join(known)}"
+def rate_factor(unit: str, rate_hz: float) -> float:
+    """Return the factor to SI rates from a unit of rates, or of increments over each sample."""
+    return unit_factor(unit) * (1.0 if is_rate(unit) else rate_hz)
 
 
 def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
@@ -303,9 +261,10 @@ def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
     return np.asarray(about_z @ about_x @ about_y)
 
 
-def to_vehicle_axes(increments: FloatArray, mounting_deg: Sequence[float]) -> FloatArray:
-    """Transform (T, 3) vectors from the axes of the box to those of the vehicle."""
-    return increments @ mounting_matrix(mounting_deg).T if any(mounting_deg) else increments
+def to_vehicle_axes(values: FloatArray, layout: RecordLayout) -> FloatArray:
+    """Transform (T, 3) vectors from a record's axes to those of the vehicle, right-front-up."""
+    values, mounting = to_body_axes(values, layout.axes_order), layout.mounting_deg
+    return values @ mounting_matrix(mounting).T if any(mounting) else values
 
 
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:
@@ -340,20 +299,15 @@ def require_span(record: Record, start_s: float, needed_s: float, breakdown: str
 
     ``breakdown`` is the composition of the needed length as text, after a blank.
     """
-    available_s = len(record.dtheta) / record.rate_hz
-    if start_s < 0:
-        raise InputError(
-            f"{record.source}: start_s = {format_seconds(start_s)} is before the record"
-        )
+    available_s, end_s = len(record.dtheta) / record.rate_hz, start_s + needed_s
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
-    if start_s + needed_s > available_s + 1e-3 / record.rate_hz:
-        text = f"{record.source}: has {format_seconds(available_s)} s, but"
-        needed = f"{format_seconds(needed_s)} s{breakdown}"
-        if start_s == 0:
-            raise InputError(f"{text} the study needs {needed}")
-        whole = format_seconds(start_s + needed_s)
-        raise InputError(f"{text} {needed} from start_s = {format_seconds(start_s)} need {whole} s")
-    begin, end = start_s * record.rate_hz, (start_s + needed_s) * record.rate_hz
+    if start_s < 0 or end_s > available_s + 1e-3 / record.rate_hz:
+        raise InputError(
+            f"{record.source}: has {format_seconds(available_s)} s, but from start_s ="
+            f" {format_seconds(start_s)} the study needs {format_seconds(needed_s)} s{breakdown},"
+            f" up to {format_seconds(end_s)} s"
+        )
+    begin, end = start_s * record.rate_hz, end_s * record.rate_hz
     for flaw in record.flaws:
         if flaw.begin < end - 1e-3 and flaw.end > begin + 1e-3:
             raise InputError(flaw.text)

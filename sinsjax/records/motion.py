@@ -99,7 +99,7 @@ def compute_means(record: Record, span: tuple[int, int], gravity: float) -> Mean
         vertical_drift=_norm(drift),
         drift_uncertainty=drift_uncertainty,
         length_s=n * dt,
-        turns=measure_turns(dtheta, dv, dt),
+        turns=measure_turns(dtheta, dv, force, dt),
     )
 
 
@@ -137,12 +137,13 @@ def _norm(vector: FloatArray) -> float:
 # Turns
 
 
-def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None:
+def measure_turns(dtheta: FloatArray, dv: FloatArray, force: FloatArray, dt: float) -> Turns | None:
     """Return the turns of a base about the vertical; None if it does not turn, or tilts.
 
     The level part y of the unit mean force of windows is y = c + s t + a e^(i psi) + b P, where s
     is the drift, P the integral of e^(i psi), and a and b contain the level biases of
-    accelerometers and gyros. Increments (n, 3) are over steps of ``dt``, s.
+    accelerometers and gyros. Increments (n, 3) are over steps of ``dt``, s; the force (n, 3) is in
+    the frame that the gyros carry.
     """
     if len(dv) < 2 * _WINDOWS:
         return None
@@ -161,7 +162,7 @@ def measure_turns(dtheta: FloatArray, dv: FloatArray, dt: float) -> Turns | None
     columns = np.column_stack(
         [_window_means(values) for values in (np.ones(len(psi)), time_s, phasor, integral)]
     )
-    y = _level_part(_rotate(integrate_attitudes(dtheta)[:-1], dv))
+    y = _level_part(force)
     if not (np.isfinite(columns).all() and np.isfinite(y).all()):
         return None
     used = _steady_windows(columns, y)

@@ -5,7 +5,7 @@ not say is asked, see `sinsjax.records.propose`.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 _SENSORS = {
@@ -67,21 +67,12 @@ NO_UNIT: Unit = ("", 1.0)
 
 
 class Triad(NamedTuple):
-    """Three columns of one sensor.
+    """Three columns of one sensor, and what their names or a row of units state."""
 
-    Attributes:
-        names: columns in the order x, y, z, or right, front, up if the names give directions.
-        unit: the unit that the names or a row of units state.
-        signs: sign of each column.
-        has_directions: whether the names give directions, as pitch, roll and yaw do of gyros.
-        are_increments: whether the names indicate increments.
-        in_navigation_frame: whether the names state a navigation frame.
-    """
-
-    names: tuple[str, str, str]
+    names: tuple[str, ...]  # in the order x, y, z, or right, front, up if they are directions
     unit: Unit
-    signs: tuple[float, float, float]
-    has_directions: bool = False
+    signs: tuple[float, ...]
+    has_directions: bool = False  # as pitch, roll and yaw are of gyros
     are_increments: bool = False
     in_navigation_frame: bool = False
 
@@ -115,21 +106,6 @@ def find_triads(
             groups.setdefault((parts.stem, unit), {}).setdefault(parts.axis, (name, parts.sign))
     triads = (_make_triad(stem, unit, columns) for (stem, unit), columns in groups.items())
     return [triad for triad in triads if triad is not None]
-
-
-def name_given_triad(names: Sequence[str], sensor: str, units: Mapping[str, str]) -> Triad:
-    """Return the triad of three columns that the user gives, with what their names say."""
-    found = [t for t in find_triads(names, sensor, units) if {*t.names} == {*names}]
-    parts = [_parse_name(name, sensor) for name in names]
-    signs = [part.sign if part else 1.0 for part in parts]
-    unit = found[0].unit if found else NO_UNIT
-    increments = bool(found) and found[0].are_increments
-    return Triad(
-        (names[0], names[1], names[2]),
-        unit,
-        (signs[0], signs[1], signs[2]),
-        are_increments=increments,
-    )
 
 
 def find_named_order(texts: Iterable[str]) -> str:

@@ -7,33 +7,33 @@ be answered before anything is aligned.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten
+from sinsjax.records.checks import gravity_units
 from sinsjax.records.layout import (
-    ACCEL_UNITS,
     GYRO_UNITS,
     INCREMENTS,
     RATES,
+    TIME_UNITS,
     FloatArray,
-    Note,
     RecordLayout,
-    quantity_of,
+    is_rate,
+    rate_factor,
     to_body_axes,
-    unit_factor,
 )
 from sinsjax.records.motion import EARTH_RATE
-from sinsjax.records.names import Triad, find_named_order, find_triads, name_given_triad
+from sinsjax.records.names import NO_UNIT, Triad, find_named_order, find_triads
 from sinsjax.records.reader import MIN_COLUMNS, Table
-from sinsjax.records.stamps import propose_clock
+from sinsjax.records.stamps import combine_times, find_sampling
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
-_NEAR_GRAVITY = 0.1  # relative: accelerometers are better
 _SENSORS = {"gyro": "gyros", "accel": "accelerometers"}
 _STANDARDS = {
     "ROS": ("angular_velocity", "linear_acceleration"),
@@ -47,29 +47,41 @@ _LABEL = re.compile(
     re.IGNORECASE,
 )
 """Names of columns that tell of which sensor a row is."""
+_NO_RATE = "increments show their unit once the sample rate is known"
 _MAX_LABELS = 5  # more are a count of the rows
-_NO_RATE = Note("", "", "increments show their unit once the sample rate is known")
+_TIME_NAME = re.compile(
+    r"time|stamp|epoch|clock|(^|[._\s])(t|tow|sow|utc|[mun]?secs?|(milli|micro|nano)?seconds?"
+    r"|(milli|micro|nano)sec)($|[\s_\[(])",
+    re.IGNORECASE,
+)
+_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])(nano|micro|milli|[nmu])?s(?:ec(?:ond)?s?)?[\])\s]*$")
+_TIME_UNITS = {
+    None: "s",
+    "n": "ns",
+    "nano": "ns",
+    "u": "us",
+    "micro": "us",
+    "m": "ms",
+    "milli": "ms",
+}
+_POSSIBLE_HZ = 0.5, 5000.0  # rates of IMUs
+_MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeated rows
 
 
-class Proposal(NamedTuple):
-    """The proposed layout of a file.
+@dataclass
+class Proposal:
+    """The layout of the record in a log, and what is not known of it, by key of the layout."""
 
-    Attributes:
-        layout: layout of its record; open keys have values to examine the file with.
-        notes: reasons, doubts and questions by key.
-        is_readable: whether columns and clock are known, so that there is a record.
-    """
-
-    layout: RecordLayout
-    notes: Mapping[str, Note]
-    is_readable: bool
+    layout: RecordLayout  # open keys have values to examine the log with
+    rate_hz: float = math.nan  # nan if it is an open question
+    reasons: dict[str, str] = field(default_factory=dict)
+    questions: dict[str, str] = field(default_factory=dict)  # evidence for open keys
 
 
-def propose_layout(path: Path, table: Table, answers: Mapping[str, Any]) -> Proposal:
-    """Propose the layout of a record in a file.
+def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
+    """Propose the layout of the record in an opened file.
 
     Args:
-        path: CSV or Parquet file, for messages.
         table: the opened file.
         answers: keys of the layout that the user has given.
 
@@ -78,32 +90,32 @@ def propose_layout(path: Path, table: Table, answers: Mapping[str, Any]) -> Prop
     """
     if len(table.names) < MIN_COLUMNS:
         text = f"found {len(table.names)} columns; an IMU log needs at least {MIN_COLUMNS}"
-        raise InputError(f"{path}: {text}")
-    _refuse_tagged_rows(path, table)
-    notes: dict[str, Note] = {}
-    triads = {sensor: _find_triad(path, table, sensor, answers, notes) for sensor in _SENSORS}
-    taken = [name for triad in triads.values() if triad for name in triad.names]
-    clock = propose_clock(str(path), table, answers, taken)
-    layout = RecordLayout(table.format, rate_hz=None, **clock.fields)
-    if not clock.fields:
-        layout = layout._replace(rate_hz=clock.rate_hz)
-    notes |= clock.notes
-    rate_hz = answers.get("rate_hz", math.nan if clock.is_open else clock.rate_hz)
+        raise InputError(f"{table.source}: {text}")
+    _refuse_tagged_rows(table)
+    proposal = Proposal(RecordLayout(table.format))
+    triads = {sensor: _find_triad(table, sensor, answers, proposal) for sensor in _SENSORS}
+    names: dict[str, Any] = {
+        f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad
+    }
+    clock = _propose_clock(table, answers, [*chain.from_iterable(names.values())])
+    proposal.layout = proposal.layout._replace(**names, **clock.fields)
+    proposal.questions |= clock.questions
+    proposal.rate_hz = answers.get("rate_hz", math.nan if clock.questions else clock.rate_hz)
     gyro, accel = triads["gyro"], triads["accel"]
-    if gyro is None or accel is None:
-        names = {f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad}
-        open_ = Note("", "", "open until the columns are known")
-        notes |= dict.fromkeys(("gyro_unit", "accel_unit", "axes_order"), open_)
-        layout = layout._replace(**names)  # type: ignore[arg-type]
+    if gyro and accel:
+        _propose_sensors(table, gyro, accel, answers, proposal)
     else:
-        layout = _propose_sensors(path, table, gyro, accel, answers, rate_hz, layout, notes)
+        open_keys = ("gyro_unit", "accel_unit", "axes_order")
+        proposal.questions |= dict.fromkeys(open_keys, "open until the columns are known")
     known = {key: value for key, value in answers.items() if key in RecordLayout._fields}
-    notes |= dict.fromkeys(known, Note("given"))
-    is_timed = not any(key in notes and notes[key].question for key in ("rate_hz", "time_unit"))
-    return Proposal(layout._replace(**known), notes, is_timed and None not in (gyro, accel))
+    proposal.layout = proposal.layout._replace(**known)
+    for key in known:
+        proposal.questions.pop(key, None)
+        proposal.reasons.pop(key, None)
+    return proposal
 
 
-def _refuse_tagged_rows(path: Path, table: Table) -> None:
+def _refuse_tagged_rows(table: Table) -> None:
     """Refuse a file whose rows are of several sensors in turn."""
     for name, cells in table.head.items():
         labels = [*dict.fromkeys(filter(None, cells))]
@@ -113,211 +125,241 @@ def _refuse_tagged_rows(path: Path, table: Table) -> None:
         if len(tags) > 1:
             text = f"rows of several sensors in turn ({', '.join(tags[:3])})"
             hint = "make each a set of columns of one row, matched by the nearest stamp"
-            raise InputError(f"{path}: {text}: {hint}")
+            raise InputError(f"{table.source}: {text}: {hint}")
+
+
+# Sensors
+
+
+def _read_means(table: Table, names: Iterable[str]) -> dict[str, float]:
+    """Return the means of columns, which are read at once; nan without a number."""
+    wanted = [*dict.fromkeys(names)]
+    good = (values[np.isfinite(values)] for values in table.read(wanted, blanks=True))
+    means = (float(values.mean()) if len(values) else math.nan for values in good)
+    return dict(zip(wanted, means, strict=True))
 
 
 def _find_triad(
-    path: Path, table: Table, sensor: str, answers: Mapping[str, Any], notes: dict[str, Note]
+    table: Table, sensor: str, answers: Mapping[str, Any], proposal: Proposal
 ) -> Triad | None:
-    """Return the columns of a sensor; None, and a question in the notes, if names do not tell."""
-    key = f"{sensor}_columns"
-    if given := answers.get(key):
-        return name_given_triad(given, sensor, table.units)
-    triads = find_triads([n for n in table.names if n in table.numbers], sensor, table.units)
-    if not triads and (by_name := find_triads(table.names, sensor)):
-        name = next(name for name in by_name[0].names if name not in table.numbers)
-        cell = next((c for c in table.head.get(name, ()) if c), "")
-        text = f"column {name!r}: {shorten(cell, 24)!r} is not a number"
-        raise InputError(f"{path}: {text} (begin other rows with #, or give [record] skip_rows)")
-    if sensor == "accel" and len(triads) > 1:  # a phone writes the force with and without gravity
-        heavy = [t for t in triads if _gravity_units(_magnitude(table, t), 1.0, RATES)]
-        triads = heavy if len(heavy) == 1 else triads
+    """Return the columns of a sensor; None, and a question, if names do not tell."""
+    key, noun = f"{sensor}_columns", _SENSORS[sensor]
+    names = answers.get(key, table.names)
+    triads = find_triads(names, sensor, table.units)
+    if key in answers:  # the user orders them, and their names state the unit
+        found = triads[0] if len(triads) == 1 else Triad(names, NO_UNIT, (1.0, 1.0, 1.0))
+        return found._replace(names=names, signs=(1.0, 1.0, 1.0), has_directions=False)
     if len(triads) == 1 and not triads[0].in_navigation_frame:
-        notes[key] = Note("by their names")
         return triads[0]
-    problem = f"no column is named as of {_SENSORS[sensor]}."
+    numbers = [name for name, kind in table.kinds.items() if kind == "number"]
+    means = _read_means(table, [n for triad in triads for n in triad.names] or numbers)
+    if sensor == "accel" and len(triads) > 1:  # a phone writes it with and without gravity
+        heavy = [
+            triad for triad in triads
+            if gravity_units(math.hypot(*map(means.__getitem__, triad.names)) * triad.unit[1])
+        ]  # fmt: skip
+        if len(heavy) == 1:
+            return heavy[0]
+    problem = f"no column is named as of {noun}"
     if triads:
-        problem = f"which of these are the {_SENSORS[sensor]} of one box, in its own axes?"
-    shown: list[tuple[str, ...]] = [triad.names for triad in triads]
-    shown = shown or [(name,) for name in table.names if name in table.numbers]
-    means = "; ".join(_describe_means(table, shown))
-    notes[key] = Note("", "", f"{problem} Means: {shorten(means, 400)}")
+        problem = f"which of these are the {noun} of one box, in its own axes?"
+    shown = "; ".join(f"{name} {mean:.4g}" for name, mean in means.items())
+    proposal.questions[key] = f"{problem}. Means: {shorten(shown, 400)}"
     return None
 
 
-def _describe_means(table: Table, groups: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the names and means of groups of columns, which are read at once."""
-    names = [*dict.fromkeys(name for group in groups for name in group)]
-    values = dict(zip(names, table.read(names, blanks=True), strict=True))
-    for group in groups:
-        means = ("?" if np.isnan(v := values[n]).all() else f"{np.nanmean(v):.4g}" for n in group)
-        yield f"{', '.join(group)} {' '.join(means)}"
-
-
-def _magnitude(table: Table, triad: Triad) -> float:
-    """Return the magnitude of the mean of three columns, in their unit."""
-    values = np.column_stack(table.read(triad.names, blanks=True))
-    values = values[np.isfinite(values).all(axis=1)]
-    return float(np.linalg.norm(values.mean(axis=0))) * triad.unit[1] if len(values) else 0.0
-
-
-def _gravity_units(magnitude: float, rate_hz: float, quantity: str) -> list[str]:
-    """Return the units in which a magnitude is that of gravity."""
-    return [
-        unit for unit in ACCEL_UNITS[quantity]
-        if abs(magnitude * _rate_factor(unit, rate_hz) / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY
-    ]  # fmt: skip
-
-
-def _rate_factor(unit: str, rate_hz: float) -> float:
-    """Return the factor to SI rates; nan for increments if the sample rate is unknown, nan."""
-    return unit_factor(unit) * (1.0 if quantity_of(unit) == RATES else rate_hz)
-
-
 def _propose_sensors(
-    path: Path,
-    table: Table,
-    gyro: Triad,
-    accel: Triad,
-    answers: Mapping[str, Any],
-    rate_hz: float,
-    layout: RecordLayout,
-    notes: dict[str, Note],
-) -> RecordLayout:
-    """Return the layout with columns, units, scales and axes of both sensors."""
-    rows = np.column_stack(table.read([*gyro.names, *accel.names], blanks=True))
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    if len(rows) < 2 or len(rows) < rate_hz:
-        raise InputError(f"{path}: has less than a second without missing samples")
-    scales = {
-        f"{sensor}_scale": answers.get(
-            f"{sensor}_scale", tuple(sign * triad.unit[1] for sign in triad.signs)
-        )
-        for sensor, triad in (("gyro", gyro), ("accel", accel))
-    }
-    force = rows[:, 3:].mean(axis=0) * scales["accel_scale"]
-    magnitude = float(np.linalg.norm(force))
-    accel_unit = answers.get("accel_unit") or accel.unit[0]
-    quantity = INCREMENTS if accel.are_increments else RATES
-    if accel_unit:
-        ratio = magnitude * _rate_factor(accel_unit, rate_hz) / STANDARD_GRAVITY
-        doubt = "far from gravity in the stated unit" if abs(ratio - 1) > _NEAR_GRAVITY else ""
-        reason = f"; the mean is {ratio:.4g} times gravity" if ratio > 0 else ""
-        notes["accel_unit"] = Note(f"by the names{reason}", doubt)
-    elif found := _gravity_units(magnitude, rate_hz, quantity):
-        accel_unit = found[0]
-        notes["accel_unit"] = Note(f"the mean has the magnitude of gravity, {magnitude:.5g}")
-    elif quantity == INCREMENTS and math.isnan(rate_hz):
-        accel_unit, notes["accel_unit"] = "m_per_s", _NO_RATE
-    else:
-        accel_unit = "g" if quantity == RATES else "m_per_s"
-        one = STANDARD_GRAVITY / (magnitude or 1.0)
-        one /= _rate_factor(accel_unit, rate_hz)
-        notes["accel_unit"] = Note("of one count, see accel_scale")
-        question = (
-            f"the mean of {', '.join(accel.names)} has a magnitude of {magnitude:.5g}, gravity in"
-            f" no unit: are these counts? {one:.4g} {accel_unit} a count would be gravity"
-        )
-        notes["accel_scale"] = Note("", "", question)
-    mean = float(np.linalg.norm(rows[:, :3].mean(axis=0) * scales["gyro_scale"]))
-    gyro_unit = answers.get("gyro_unit") or _gyro_unit(
-        table, gyro, accel_unit, mean, rate_hz, notes
+    table: Table, gyro: Triad, accel: Triad, answers: Mapping[str, Any], proposal: Proposal
+) -> None:
+    """Propose units, scales and axes of both sensors, with reasons or questions."""
+    means = _read_means(table, [*gyro.names, *accel.names])
+    vectors = dict[str, FloatArray]()
+    for sensor, triad in (("gyro", gyro), ("accel", accel)):
+        scale = answers.get(f"{sensor}_scale", tuple(s * triad.unit[1] for s in triad.signs))
+        proposal.layout = proposal.layout._replace(**{f"{sensor}_scale": scale})
+        vectors[sensor] = np.array([means[name] for name in triad.names]) * scale
+    force = float(np.linalg.norm(vectors["accel"]))
+    accel_unit = answers.get("accel_unit") or _accel_unit(accel, force, proposal)
+    rate = float(np.linalg.norm(vectors["gyro"]))
+    gyro_unit = answers.get("gyro_unit") or _gyro_unit(table, gyro, accel_unit, rate, proposal)
+    axes = _axes_order(table, gyro, accel, vectors["accel"] / (force or 1.0), proposal)
+    proposal.layout = proposal.layout._replace(
+        gyro_unit=gyro_unit, accel_unit=accel_unit, axes_order=axes
     )
-    layout = layout._replace(
-        gyro_columns=gyro.names,
-        accel_columns=accel.names,
-        gyro_unit=gyro_unit,
-        accel_unit=accel_unit,
-        gyro_scale=scales["gyro_scale"],
-        accel_scale=scales["accel_scale"],
-    )
-    order = _propose_axes(table, gyro, accel, force / (magnitude or 1.0), notes)
-    return layout._replace(axes_order=order)
 
 
-def _gyro_unit(
-    table: Table,
-    gyro: Triad,
-    accel_unit: str,
-    mean: float,
-    rate_hz: float,
-    notes: dict[str, Note],
-) -> str:
-    """Return the unit of the gyros by their names, or one to examine them with, and a question."""
-    unit = gyro.unit[0]
-    if unit in ("rad", "deg") and not gyro.are_increments and quantity_of(accel_unit) == RATES:
+def _accel_unit(accel: Triad, magnitude: float, proposal: Proposal) -> str:
+    """Return the unit of the accelerometers by their names or by gravity, or a question."""
+    unit, are_rates, rate_hz = accel.unit[0], not accel.are_increments, proposal.rate_hz
+    if unit:
+        ratio = magnitude * rate_factor(unit, rate_hz) / STANDARD_GRAVITY
+        proposal.reasons["accel_unit"] = f"by the names; the mean is {ratio:.4g} times gravity"
+        return unit
+    if found := [u for u in gravity_units(magnitude, rate_hz) if is_rate(u) == are_rates]:
+        reason = f"the mean has the magnitude of gravity, {magnitude:.5g}"
+        proposal.reasons["accel_unit"] = reason
+        return found[0]
+    unit = "g" if are_rates else "m_per_s"
+    if not are_rates and math.isnan(rate_hz):
+        proposal.questions["accel_unit"] = _NO_RATE
+        return unit
+    one = STANDARD_GRAVITY / (magnitude or 1.0) / rate_factor(unit, rate_hz)
+    proposal.questions["accel_scale"] = (
+        f"the mean of {', '.join(accel.names)} has a magnitude of {magnitude:.5g}, gravity in no"
+        f" unit: are these counts? {one:.4g} {unit} a count would be gravity"
+    )
+    return unit
+
+
+def _gyro_unit(table: Table, gyro: Triad, accel_unit: str, mean: float, proposal: Proposal) -> str:
+    """Return the unit of the gyros by names, or one to examine them with, and a question."""
+    unit, rate_hz = gyro.unit[0], proposal.rate_hz
+    if unit in ("rad", "deg") and not gyro.are_increments and is_rate(accel_unit):
         unit = f"{unit}_per_s"  # as PX4 writes gyro_rad
     if unit:
-        of_earth = mean * _rate_factor(unit, rate_hz) / EARTH_RATE
-        reason = f"; the mean rate is {of_earth:.3g} times Earth rate" if of_earth >= 0 else ""
-        notes["gyro_unit"] = Note(f"by the names{reason}")
+        of_earth = mean * rate_factor(unit, rate_hz) / EARTH_RATE
+        reason = f"by the names; the mean rate is {of_earth:.3g} times Earth rate"
+        proposal.reasons["gyro_unit"] = reason
         return unit
     if gyro.are_increments and math.isnan(rate_hz):
-        notes["gyro_unit"] = _NO_RATE
+        proposal.questions["gyro_unit"] = _NO_RATE
         return "rad"
-    rates = _rates(mean, INCREMENTS if gyro.are_increments else RATES, rate_hz)
-    question = f"no name states it. {rates}"
+    question = "no name states it"
     for standard, parts in _STANDARDS.items():
         if all(any(part in name for name in table.names) for part in parts):
             if accel_unit == "m_per_s2":
-                notes["gyro_unit"] = Note(f"as {standard} writes them")
+                proposal.reasons["gyro_unit"] = f"as {standard} writes them"
                 return "rad_per_s"
-            text = f"{standard} writes rad/s and m/s^2, but force in {accel_unit} contradicts it"
-            question = f"{text}. {rates}"
-    if notes.get("accel_scale", Note("")).question:
+            question = f"{standard} writes m/s^2, but force in {accel_unit} contradicts it"
+    if "accel_scale" in proposal.questions:
         scale = f"the mean rate is {mean:.4g} counts: see the data sheet, and give gyro_unit"
-        notes["gyro_scale"] = Note("", "", scale)
-    notes["gyro_unit"] = Note("", "", question)
-    return "rad" if gyro.are_increments else "rad_per_s"
+        proposal.questions["gyro_scale"] = scale
+    units = [*GYRO_UNITS[INCREMENTS if gyro.are_increments else RATES]]
+    for unit in units:
+        rate = mean * rate_factor(unit, rate_hz)
+        question += (
+            f'; gyro_unit = "{unit}": mean rate {rate / DEG_PER_H:.3g} deg/h,'
+            f" {rate / EARTH_RATE:.3g} times Earth rate"
+        )
+    proposal.questions["gyro_unit"] = question
+    return units[0]
 
 
-def _rates(mean: float, quantity: str, rate_hz: float) -> str:
-    """Return the mean rate in each candidate unit, over Earth rate too, and the line to write."""
-    lines = []
-    for unit in GYRO_UNITS[quantity]:
-        rate = mean * _rate_factor(unit, rate_hz)
-        text = f"mean rate {rate / DEG_PER_H:.3g} deg/h, {rate / EARTH_RATE:.3g} times Earth rate"
-        lines.append(f'gyro_unit = "{unit}": {text}')
-    return "; ".join(lines)
-
-
-def _propose_axes(
-    table: Table, gyro: Triad, accel: Triad, up: FloatArray, notes: dict[str, Note]
-) -> str:
-    """Return the order of axes by names, or by gravity if x, y and z are those of usual boxes."""
-    axis = int(np.argmax(np.abs(up)))
+def _axes_order(table: Table, gyro: Triad, accel: Triad, up: FloatArray, proposal: Proposal) -> str:
+    """Return the order of axes by names, or by gravity if x, y, z are those of usual boxes."""
+    axis, question = int(np.argmax(np.abs(up))), ""
     pointing = f"{'xyz'[axis]} reads {up[axis]:+.2f} g"
-    named = find_named_order([*table.comments, *table.names])
+    orders = [find_named_order([*table.comments, *table.names])]
+    reason = f"from names or comments; {pointing}"
     if gyro.has_directions or accel.has_directions:
-        named, pointing = "rfu", f"up reads {up[2]:+.2f} g"
+        orders, reason = ["rfu"], "from names"
         if not (gyro.has_directions and accel.has_directions):
-            question = "only one sensor names right, front and up: which axes has the other one?"
-            notes["axes_order"] = Note("", "", question)
-            return named
-    if named:
-        question = ""
-        if float(to_body_axes(up[None], named)[0, 2]) < math.cos(60 * DEG):
-            question = f"the names state {named!r}, but {pointing}: a sign or an axis is wrong"
-        notes["axes_order"] = Note(f"from names or comments; {pointing}", "", question)
-        return named
-    order = "flu" if up[2] > 0 else "frd"
-    if axis == 2 and abs(up[2]) > math.cos(30 * DEG):
+            question = "only one sensor names right, front and up: which axes has the other?"
+    if orders[0]:
+        if not question and to_body_axes(up[None], orders[0])[0, 2] < math.cos(60 * DEG):
+            question = f"the names state {orders[0]!r}, but {pointing}: a sign or an axis is wrong"
+    elif axis == 2 and abs(up[2]) > math.cos(30 * DEG):
+        orders = ["flu" if up[2] > 0 else "frd"]
         reason = f"{pointing}; x is taken for the front, so the heading is that of x"
-        notes["axes_order"] = Note(reason)
-        return order
-    candidates = _orders_with_up(axis, is_positive=bool(up[axis] > 0))
-    lines = " or ".join(f'axes_order = "{one}"' for one in candidates)
-    question = f"{pointing}, and no name states which axis points front: {lines}"
-    if abs(up[axis]) < math.cos(30 * DEG):
-        question = f"no axis is near the vertical ({pointing}), and no name states the axes"
-    notes["axes_order"] = Note("", "", question)
-    return candidates[0]
+    else:
+        a, b, c = "xyzxy"[axis + 1], "xyzxy"[axis + 2], "xyz"[axis]
+        orders = [f"{a}{b}{c}", f"{b}-{a}{c}", f"-{a}-{b}{c}", f"-{b}{a}{c}"]
+        if up[axis] < 0:
+            orders = [f"{b}{a}-{c}", f"-{a}{b}-{c}", f"-{b}-{a}-{c}", f"{a}-{b}-{c}"]
+        lines = " or ".join(f'axes_order = "{order}"' for order in orders)
+        question = f"{pointing}, and no name states which axis points front: {lines}"
+        if not abs(up[axis]) >= math.cos(30 * DEG):
+            question = f"no axis is near the vertical ({pointing}), and no name states the axes"
+    proposal.reasons["axes_order"] = reason
+    if question:
+        proposal.questions["axes_order"] = question
+    return orders[0]
 
 
-def _orders_with_up(axis: int, *, is_positive: bool) -> list[str]:
-    """Return the four right-handed orders of axes with an axis, or its opposite, up."""
-    a, b, up = "xyz"[(axis + 1) % 3], "xyz"[(axis + 2) % 3], "xyz"[axis]
-    pairs = [(a, b), (b, f"-{a}"), (f"-{a}", f"-{b}"), (f"-{b}", a)]  # right and front
-    if is_positive:
-        return [f"{right}{front}{up}" for right, front in pairs]
-    return [f"{right}{front}-{up}" for front, right in pairs]
+# Time
+
+
+class _Clock(NamedTuple):
+    """A proposed clock of a log: keys of the layout, the rate if known, and questions."""
+
+    fields: dict[str, Any]
+    rate_hz: float
+    questions: dict[str, str]
+
+
+def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[str]) -> _Clock:
+    """Propose columns and units of time by names and by the steps of stamps, or ask for the rate.
+
+    Columns of sensors are taken. Of several clocks the first one without a question counts.
+    """
+    given, kinds = answers.get("time_column"), table.kinds
+    names = [
+        name for name, kind in kinds.items()
+        if name == given or name and name not in taken
+        and (kind == "date" or kind == "number" and _TIME_NAME.search(name))
+    ]  # fmt: skip
+    dates = [name for name in names if kinds[name] == "date"]
+    pairs = zip(names, table.read(names, blanks=True, dates=dates), strict=True)
+    columns = {name: stamps for name, stamps in pairs if np.isfinite(stamps).sum() > 1}
+    units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in columns}
+    fractions = {
+        name: unit for name, unit in units.items()
+        if unit in ("ms", "us", "ns") and np.nanmax(columns[name]) * TIME_UNITS[unit] < 1
+        and (np.diff(columns[name]) < 0).any()  # they begin again with each second
+    }  # fmt: skip
+    clocks = []
+    for name in [given] if given in columns else columns:
+        fields: dict[str, Any] = {"time_column": name, "time_unit": units[name] or "s"}
+        fields |= {k: answers[k] for k in ("time_unit", "time_scale") if k in answers}
+        stamps, questions = columns[name], dict[str, str]()
+        is_whole = np.array_equal(stamps, np.floor(stamps), equal_nan=True)
+        fraction = next((other for other in fractions if other != name), "")
+        if fraction and is_whole and units[name] in ("", "s"):
+            fields |= {"time_fraction_column": fraction, "time_fraction_unit": units[fraction]}
+        elif units[name] != "iso" and "time_unit" not in answers:
+            fields["time_unit"], question = _unit_by_steps(name, units[name], stamps)
+            questions |= {"time_unit": question} if question else {}
+        layout = RecordLayout(table.format, **fields)
+        times = [columns[column] for column in layout.time_columns]
+        clock = _try_clock(table.source, layout, times)
+        clocks.append(clock if clock.questions else _Clock(fields, clock.rate_hz, questions))
+    unknown = _Clock({}, math.nan, {"rate_hz": "no column has times: give the true rate"})
+    return min(clocks, key=lambda clock: (bool(clock.questions), not clock.fields), default=unknown)
+
+
+def _try_clock(source: str, layout: RecordLayout, times: list[FloatArray]) -> _Clock:
+    """Return the rate of columns of times; a question about it if they are no clock."""
+    time_s = combine_times(times, layout)
+    time_s = time_s[np.isfinite(time_s)]
+    is_new = np.diff(time_s, prepend=-np.inf) != 0
+    if is_new.mean() > _MIN_NEW:
+        time_s = time_s[is_new]
+    try:
+        return _Clock({}, find_sampling(source, layout, time_s, lambda k: k + 1).rate_hz, {})
+    except InputError as error:
+        question = str(error).removeprefix(f"{source}: ").partition(" (drop")[0]
+        if len(time_s) > 1 and np.ptp(time_s) > 0:
+            rate_hz = (len(time_s) - 1) / np.ptp(time_s)
+            question += f"; the mean step would give {rate_hz:.6g} Hz"
+        return _Clock({}, math.nan, {"rate_hz": f"{question}: give the true rate"})
+
+
+def _unit_by_name(table: Table, name: str) -> str:
+    """Return the unit of a column of times by the row of units or its name; "" for none."""
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", table.units.get(name) or name)  # as TimeUS
+    found = _TIME_UNIT.search(text.lower())
+    return _TIME_UNITS[found[1]] if found else ""
+
+
+def _unit_by_steps(name: str, named: str, stamps: FloatArray) -> tuple[str, str]:
+    """Return the unit of stamps (T,), the named one or what their steps can be; and a question."""
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    rates = {unit: 1 / max(step * TIME_UNITS[unit], 1e-300) for unit in ("s", "ms", "us", "ns")}
+    possible = [unit for unit in rates if _POSSIBLE_HZ[0] <= rates[unit] <= _POSSIBLE_HZ[1]]
+    unit = named or (possible or ["s"])[0]
+    if unit in possible and (named or len(possible) == 1):
+        return unit, ""
+    shown = ", ".join(f'"{other}": {rates[other]:.4g} Hz' for other in possible or rates)
+    problem = f"is named as {named}, but" if named else "does not tell its unit:"
+    return unit, f"column {name!r} {problem} its steps of {step:.4g} are {shown}"

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
+from sinsjax.messages import shorten
 from sinsjax.platform.files import atomic_write
-from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
     PSINS_LAYOUT,
     FloatArray,
@@ -24,15 +24,13 @@ from sinsjax.records.layout import (
     RecordLayout,
     check_layout,
     resolve_rate,
-    to_body_axes,
-    to_vehicle_axes,
 )
-from sinsjax.records.reader import Line, data_lines, is_number, open_text, parse_number, read_lines
+from sinsjax.records.reader import Line, data_lines, is_number, open_text, read_lines
+from sinsjax.records.tabular import record_from_table
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
-# Above this, float64 no longer represents every integer.
-_LARGEST_SUM = 2.0**53
+_LARGEST_SUM = 2.0**53  # above this, float64 no longer represents every integer
 
 
 class _Header(NamedTuple):
@@ -59,35 +57,24 @@ def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     check_layout(layout, str(path))
     lines = _header_lines(path)
     header = _parse_header(path, lines)
-    table = open_text(path, _COUNT_COLUMNS, skip_rows=lines[-1].row)
-    columns = table.read(_COUNT_COLUMNS)
-    for name, column in zip(_COUNT_COLUMNS, columns, strict=True):
-        bad = (column != np.rint(column)) | (np.abs(column) > _LARGEST_SUM)
-        if bad.any():
-            k = int(bad.argmax())
-            text = f"{column[k]:.12g} is not an integer count of at most 16 digits"
-            raise InputError(f"{path}: row {table.row_number(k)}: {name}: {text}")
-    counts, scale = np.column_stack(columns), np.array(header.scale)
     latitude, _, height, t0, interval_ms, gravity = header.place
     attitude = (header.pose[0], header.pose[1], header.pose[2])
-    rate = resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {lines[1].row}: the header")
-
-    def to_axes(increments: FloatArray) -> FloatArray:
-        in_box = to_body_axes(increments, layout.axes_order)
-        return to_vehicle_axes(in_box, layout.mounting_deg)
-
-    factors = scale * np.repeat([ARCSEC, micro_g(gravity)], 3) * rate
-    return Record(
-        dtheta=to_axes(counts[:, :3] * (scale[:3] * ARCSEC)),
-        dv=to_axes(counts[:, 3:] * (scale[3:] * micro_g(gravity))),
-        rate_hz=rate,
+    place = f"{path}: row {lines[1].row}: the header"
+    scale = np.array(header.scale)
+    layout = layout._replace(
+        gyro_columns=_COUNT_COLUMNS[:3],
+        accel_columns=_COUNT_COLUMNS[3:],
+        gyro_scale=tuple(scale[:3] * ARCSEC),
+        accel_scale=tuple(scale[3:] * micro_g(gravity)),
+        rate_hz=resolve_rate(1e3 / interval_ms, layout, 0.0, place),
+    )
+    table = open_text(path, _COUNT_COLUMNS, skip_rows=lines[-1].row)
+    return record_from_table(layout, table)._replace(
         t0_s=t0,
         latitude_deg=None if math.isnan(latitude) else latitude,
         height_m=None if math.isnan(height) else height,
         attitude_deg=None if any(map(math.isnan, attitude)) else attitude,
         gravity_m_per_s2=gravity,
-        source=str(path),
-        anomalies=find_anomalies(_COUNT_COLUMNS, columns, factors.tolist(), rate, table.row_number),
     )
 
 
@@ -100,14 +87,15 @@ def _parse_header(path: str | Path, lines: list[Line]) -> _Header:
     values = []
     for row, text in lines:
         words = text.split()
-        if len(words) != 6:
+        if (
+            len(words) != 6
+            or not all(map(is_number, words))
+            or any("inf" in w.lower() for w in words)
+        ):
             hint = "(not PSINS text? `sinsjax init record --from LOG` writes a [record] for others)"
-            problem = f"a header line must have 6 values, not {len(words)} {hint}"
+            problem = f"a header line must have 6 numbers: {shorten(text, 60)!r} {hint}"
             raise InputError(f"{path}: row {row}: {problem}")
-        try:
-            values.append([math.nan if w.lower() == "nan" else parse_number(w) for w in words])
-        except ValueError as error:
-            raise InputError(f"{path}: row {row}: header: {error}") from None
+        values.append([*map(float, words)])
     if len(values) < 3:
         raise InputError(f"{path}: the header must have 3 lines, not {len(values)}")
     header = _Header(*values)

@@ -12,7 +12,7 @@ import math
 import re
 import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from difflib import get_close_matches
+from contextlib import suppress
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -20,14 +20,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shorten
+from sinsjax.messages import shorten, suggest_closest
 from sinsjax.records.layout import FloatArray
-from sinsjax.records.stamps import parse_iso
 
 MISSING_TEXT = "empty or not finite"
 
@@ -37,47 +36,115 @@ MIN_COLUMNS = 6
 _MAX_MAGNITUDE = 1e30  # of numbers; squares and sums of such stay finite
 _MAX_COLUMNS, _HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 1000, 20, 200, 2**13
 _COMMENTS = ("#", "%", "//")
-_BLANK_CELLS = ["", "nan", "NaN", "NAN"]
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
-_NO_NUMBER = re.compile(r"[+-]?(nan|inf|infinity)?", re.IGNORECASE)
 _NO_TEXT = (
     "not text in UTF-8 (unpack it, or convert it: `iconv -f CP1252 -t UTF-8 LOG > NEW` for text of"
     " Windows; to CSV from MATLAB, HDF5, a ROS bag or a spreadsheet)"
 )
+_NUMBERS = (pa.float64(),)
+_DATES = (pa.timestamp("ns"), pa.timestamp("ns", "UTC"))  # without a zone, and with one
 
 
 class Table(NamedTuple):
-    """An opened file with named columns.
+    """An opened file with named columns, or columns in memory."""
 
-    Attributes:
-        names: all columns of the file, in order.
-        read: (names, blanks=False, dates=()) returns the named columns, (T,) each, T > 0. Missing
-            values are nan with ``blanks`` and otherwise rejected. Dates with time in the columns
-            ``dates`` become seconds since 1970.
-        row_number: function of sample k that returns its row, for messages; after ``read``.
-        format: "csv" or "parquet"; "arrays" for columns in memory.
-        head: cells of the first rows as text, by name.
-        units: cells of a row of units, by name.
-        comments: lines before the samples.
-    """
-
-    names: list[str]
-    read: Callable[..., list[FloatArray]]
-    row_number: Callable[[int], int]
-    format: str
-    head: Mapping[str, Sequence[str]] = MappingProxyType({})
-    units: Mapping[str, str] = MappingProxyType({})
-    comments: Sequence[str] = ()
+    source: str  # name of the file, for messages
+    names: list[str]  # of all columns, in order
+    load: Callable[[list[int]], Sequence[pa.ChunkedArray]]  # columns by index: numbers, dates, text
+    row_number: Callable[[int], int]  # row of sample k, for messages; after `read`
+    format: str  # "csv" or "parquet"; "arrays" for columns in memory
+    head: Mapping[str, Sequence[str]] = MappingProxyType({})  # cells of the first rows, by name
+    units: Mapping[str, str] = MappingProxyType({})  # cells of a row of units, by name
+    comments: Sequence[str] = ()  # lines before the samples
 
     @property
-    def numbers(self) -> set[str]:
-        """Names of the columns whose first cells are numbers or empty."""
-        return {n for n, cells in self.head.items() if all(not c or is_number(c) for c in cells)}
+    def kinds(self) -> dict[str, str]:
+        """What the first cells of each column are: number, date (also a time of day) or text."""
+        kinds = {"number": _NUMBERS, "date": _DATES, "text": (pa.string(),)}
+        return {
+            name: next(kind for kind, types in kinds.items() if _is_castable([*cells], types))
+            for name, cells in self.head.items()
+        }
 
-    @property
-    def dates(self) -> set[str]:
-        """Names of the columns whose first cells are dates with time, or times of day."""
-        return {n for n, cells in self.head.items() if any(cells) and all(map(_is_date, cells))}
+    def read(
+        self, wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
+    ) -> list[FloatArray]:
+        """Return the named columns, (T,) each, T > 0.
+
+        Args:
+            wanted: names of the columns.
+            blanks: whether missing values become nan; otherwise they are refused.
+            dates: columns of dates with time, in UTC unless they have a zone, or of times of day;
+                they become seconds since 1970, or since midnight.
+        """
+        for name in wanted:
+            if self.names.count(name) > 1:
+                raise InputError(f"{self.source}: column {name!r} appears more than once")
+            if name not in self.names:
+                shown = shorten(", ".join(map(repr, self.names)), 300)
+                hint = suggest_closest(name, self.names) or f"; the file has {shown}"
+                raise InputError(f"{self.source}: no column {name!r}{hint}")
+        columns = self.load([self.names.index(name) for name in wanted]) if wanted else []
+        if columns and not len(columns[0]):
+            raise InputError(f"{self.source}: no samples after the header")
+        pairs = zip(wanted, columns, strict=True)
+        return [self._to_numbers(n, c, is_date=n in dates, blanks=blanks) for n, c in pairs]
+
+    def _to_numbers(
+        self, name: str, column: pa.ChunkedArray, *, is_date: bool, blanks: bool
+    ) -> FloatArray:
+        kinds, wanted = (_DATES, "dates with time") if is_date else (_NUMBERS, "numbers")
+        if pa.types.is_string(column.type):
+            column = pc.utf8_trim_whitespace(column)
+            cells = pc.if_else(pc.equal(column, ""), pa.scalar(None, pa.string()), column)
+            for kind in kinds:
+                with suppress(pa.ArrowException):
+                    column = _cast(cells, kind)
+            if pa.types.is_string(column.type):
+                texts = cells.to_pylist()
+                wrong = (k for k, text in enumerate(texts) if not _is_castable([text], kinds))
+                k = next(wrong, 0)  # the first one, if only some dates have a zone
+                text = f"{shorten(str(texts[k]), 24)!r} is not one of {wanted}"
+                raise self._cell_error(name, k, text)
+        kind = column.type
+        are_numbers = pa.types.is_floating(kind) or pa.types.is_integer(kind)
+        if not (pa.types.is_timestamp(kind) if is_date else are_numbers):
+            raise InputError(f"{self.source}: column {name!r} contains {kind}, not {wanted}")
+        if is_date:
+            whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
+            column = pc.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
+        values = np.array(column.to_numpy(), np.float64)
+        valid = (np.abs(values) <= _MAX_MAGNITUDE) | (blanks & ~np.isfinite(values))
+        if not valid.all():
+            k = int(valid.argmin())
+            is_large = math.isfinite(values[k])
+            text = f"out of range (beyond {_MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
+            raise self._cell_error(name, k, text)
+        return values
+
+    def _cell_error(self, name: str, k: int, text: str) -> InputError:
+        return InputError(f"{self.source}: row {self.row_number(k)}: column {name!r}: {text}")
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number, or one of the words for none."""
+    return bool(text) and _is_castable([text], _NUMBERS)
+
+
+def _cast(column: pa.ChunkedArray, kind: pa.DataType) -> pa.ChunkedArray:
+    """Return a column of text as numbers or dates, of 1970 if these are times of day."""
+    if pa.types.is_timestamp(kind):
+        column = pc.replace_substring_regex(column, r"^(\d+:)", r"1970-01-01T\1")
+    return column.cast(kind)
+
+
+def _is_castable(cells: Sequence[str | None], kinds: Sequence[pa.DataType]) -> bool:
+    """Return whether all cells that are not empty fit one of some kinds."""
+    column = pa.chunked_array([[cell or None for cell in cells]], pa.string())
+    for kind in kinds:
+        with suppress(pa.ArrowException):
+            _cast(column, kind)
+            return True
+    return False
 
 
 def open_log(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) -> Table:
@@ -105,63 +172,6 @@ def _check_width(path: str | Path, names: Sequence[str]) -> None:
         raise InputError(f"{path}: {len(names):,} columns (keep those of one IMU)")
 
 
-def find_columns(path: str | Path, names: list[str], wanted: Sequence[str]) -> list[int]:
-    """Return the positions of the wanted columns; raises InputError if missing or repeated."""
-    for name in wanted:
-        if names.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} appears more than once")
-        if name not in names:
-            shown = shorten(", ".join(map(repr, names[:12]))) + ", ..." * (len(names) > 12)
-            near = " or ".join(map(repr, get_close_matches(name, names, n=3)))
-            hint = f"did you mean {near}?" if near else f"the file has {shown}"
-            raise InputError(f"{path}: no column {name!r}; {hint}")
-    return [names.index(name) for name in wanted]
-
-
-def is_number(text: str) -> bool:
-    """Return whether a text is a number, or one of the words for none."""
-    return bool(_NUMBER.fullmatch(text) or text and _NO_NUMBER.fullmatch(text))
-
-
-def parse_number(text: str) -> float:
-    """Parse one finite number; the ValueError of an invalid text states what is wrong."""
-    shown, value = repr(shorten(text, 24)), math.nan
-    if not text:
-        raise ValueError("is empty")
-    if not is_number(text):
-        raise ValueError(f"{shown} is not a number")
-    if not math.isfinite(value := float(text)):
-        raise ValueError(f"{shown} is not finite")
-    if abs(value) > _MAX_MAGNITUDE:
-        raise ValueError(f"{shown} is out of range (beyond {_MAX_MAGNITUDE:g})")
-    return value
-
-
-def _is_date(cell: str) -> bool:
-    try:
-        parse_iso(cell)
-    except ValueError:
-        return not cell
-    return not is_number(cell)
-
-
-def check_values(
-    source: str | Path, name: str, values: FloatArray, first_row: int, *, blanks: bool
-) -> FloatArray:
-    """Return values (T,); refuses those out of range, and missing ones unless ``blanks``."""
-    valid = _is_in_range(values, blanks=blanks)
-    if not valid.all():
-        k = int(valid.argmin())
-        is_large = math.isfinite(values[k])
-        text = f"out of range (beyond {_MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
-        raise InputError(f"{source}: row {first_row + k}: column {name!r}: {text}")
-    return values
-
-
-def _is_in_range(values: FloatArray, *, blanks: bool) -> NDArray[np.bool_]:
-    return (np.abs(values) <= _MAX_MAGNITUDE) | (blanks & ~np.isfinite(values))
-
-
 # Text
 
 
@@ -173,14 +183,14 @@ class Line(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """Where the columns of a text file are; `begin` is the row of the first possible sample."""
+    """Where the columns of a text file are."""
 
     names: list[str]
-    is_named: bool  # by the file or by the user
-    units: list[str]
     delimiter: str
     decimal_mark: str
-    begin: int
+    begin: int  # row of the first possible sample
+    is_named: bool = True  # by the file or by the user
+    units: Sequence[str] = ()
 
 
 def read_lines(path: str | Path) -> Iterator[tuple[int, list[str]]]:
@@ -225,30 +235,24 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
     _, lines = next(read_lines(path))
     shape = _find_shape(path, lines, columns, skip_rows)
     _check_width(path, shape.names)
-    rows: list[NDArray[np.int64]] = []
+    rows = [np.empty(0, int)]
 
-    def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> list[FloatArray]:
-        index = find_columns(path, shape.names, wanted)
-        parsers = [parse_iso if name in dates else parse_number for name in wanted]
-        parts = []
-        rows.clear()
+    def load(index: list[int]) -> Sequence[pa.ChunkedArray]:
+        parts: list[pa.Table] = []
+        rows[:] = [np.empty(0, int)]
         for first, batch in read_lines(path):
             if data := [*data_lines(batch, first, shape.begin)]:
                 rows.append(np.array([line.row for line in data]))
-                columns = None if dates else _parse_fast(shape, data, index, blanks=blanks)
-                parts.append(columns or _parse(path, shape, data, index, parsers, blanks=blanks))
-        if not parts:
-            raise InputError(f"{path}: no samples after the header")
+                parts.append(_split_batch(path, shape, data, index))
         rows[:] = [np.concatenate(rows)]
-        return [np.concatenate(column) for column in zip(*parts, strict=True)]
+        return pa.concat_tables(parts).columns if parts else [pa.chunked_array([], pa.string())]
 
     start = islice(data_lines(lines, 1, shape.begin), _HEAD_ROWS)
     head = [_split(line.text, shape) for line in start]
     return Table(
+        str(path),
         shape.names,
-        read,
+        load,
         lambda k: int(rows[0][k]),
         "csv",
         head={n: [c[k] for c in head if k < len(c)] for k, n in enumerate(shape.names)},
@@ -273,8 +277,7 @@ def _find_shape(
                 break
     delimiter = _find_delimiter(data[0].text)
     has_commas = delimiter != "," and re.search(r"\d,\d", data[-1].text) is not None
-    mark = "," if has_commas else "."
-    shape = _Shape([*columns], True, [], delimiter, mark, data[0].row)
+    shape = _Shape([*columns], delimiter, "," if has_commas else ".", data[0].row)
     if columns:
         return shape
     if sum(map(is_number, rows[0])) < MIN_COLUMNS:
@@ -309,62 +312,41 @@ def _split(line: str, shape: _Shape | None = None) -> list[str]:
     return [cell.strip().replace(shape.decimal_mark if shape else ".", ".") for cell in cells]
 
 
-def _parse_fast(
-    shape: _Shape, data: list[Line], index: list[int], *, blanks: bool
-) -> list[FloatArray] | None:
-    """Return columns of consecutive lines; None if `_parse` must name an invalid number."""
-    keys = [str(column) for column in range(len(shape.names))]
-    wanted = [keys[column] for column in index]
+def _split_batch(path: str | Path, shape: _Shape, data: list[Line], index: list[int]) -> pa.Table:
+    """Return some columns of consecutive lines as text."""
+    keys, bad = [str(column) for column in range(len(shape.names))], list[Any]()
     lines: Iterator[str] = (line.text for line in data)
     if shape.delimiter == " ":
         lines = (" ".join(line.split()) for line in lines)
-    try:
-        table = pa.csv.read_csv(
-            pa.BufferReader("\n".join(lines).encode()),
-            read_options=pa.csv.ReadOptions(column_names=keys),
-            parse_options=pa.csv.ParseOptions(delimiter=shape.delimiter),
-            convert_options=pa.csv.ConvertOptions(
-                column_types=dict.fromkeys(wanted, pa.float64()),
-                include_columns=wanted,
-                null_values=_BLANK_CELLS if blanks else [],
-                decimal_point=shape.decimal_mark,
-            ),
-        )
-    except pa.ArrowException:
-        return None
-    values = [column.to_numpy() for column in table.columns]
-    is_valid = all(_is_in_range(column, blanks=blanks).all() for column in values)
-    return values if is_valid and table.num_rows == len(data) else None
 
+    def skip(row: Any) -> str:
+        bad.append(row)
+        return "skip"
 
-def _parse(
-    path: str | Path,
-    shape: _Shape,
-    data: list[Line],
-    index: list[int],
-    parsers: Sequence[Callable[[str], float]],
-    *,
-    blanks: bool,
-) -> list[FloatArray]:
-    """Return columns of consecutive lines, slowly: dates, or to name the first invalid row."""
-    found = np.full((len(index), len(data)), math.nan)
-    for k, (row, text) in enumerate(data):
-        cells, count = _split(text, shape), len(shape.names)
-        if len(cells) != count:
-            problem = f"the header has {count} columns, this row has {len(cells)}"
-            hint = "if it is the last row: is the file cut off?"
-            if not shape.is_named:
-                problem = f"{len(cells)} cells follow {count} in row {shape.begin}, and no header"
-                hint = "keep the rows of one kind, and name their columns in [record] columns"
-            raise InputError(f"{path}: row {row}: {problem} ({hint})")
-        for values, column, parse in zip(found, index, parsers, strict=True):
-            if not (blanks and _NO_NUMBER.fullmatch(cells[column])):
-                try:
-                    values[k] = parse(cells[column])
-                except ValueError as error:
-                    name = shape.names[column]
-                    raise InputError(f"{path}: row {row}: column {name!r}: {error}") from None
-    return [*found]
+    table = pa.csv.read_csv(
+        pa.BufferReader("\n".join(lines).encode()),
+        pa.csv.ReadOptions(column_names=keys, use_threads=False),
+        pa.csv.ParseOptions(delimiter=shape.delimiter, invalid_row_handler=skip),
+        pa.csv.ConvertOptions(
+            column_types=dict.fromkeys(keys, pa.string()),
+            include_columns=[keys[column] for column in index],
+        ),
+    )
+    count = len(keys)
+    if bad:
+        cells = bad[0].actual_columns
+        problem = f"the header has {count} columns, this row has {cells}"
+        hint = "if it is the last row: is the file cut off?"
+        if not shape.is_named:
+            problem = f"{cells} cells follow {count} in row {shape.begin}, and no header names them"
+            hint = "keep the rows of one kind, and name their columns in [record] columns"
+        raise InputError(f"{path}: row {data[bad[0].number - 1].row}: {problem} ({hint})")
+    if len(table) != len(data):
+        raise InputError(f"{path}: rows {data[0].row} to {data[-1].row}: a quote without its end")
+    if shape.decimal_mark == ",":
+        columns = [pc.replace_substring(column, ",", ".") for column in table.columns]
+        table = pa.table(columns, table.column_names)
+    return table
 
 
 # Parquet
@@ -381,44 +363,12 @@ def open_parquet(path: str | Path) -> Table:
     names = file.schema_arrow.names
     _check_width(path, names)
 
-    def read(
-        wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> list[FloatArray]:
-        find_columns(path, names, wanted)
-        if start is None:
-            raise InputError(f"{path}: the file has no rows")
-        columns = []
-        for name in wanted:
-            try:
-                column = file.read([name]).column(name)
-            except (pa.ArrowException, OSError, KeyError):
-                raise InputError(f"{path}: damaged: its columns cannot be read") from None
-            values = _to_numbers(path, name, column, is_date=name in dates)
-            columns.append(check_values(path, name, values, 1, blanks=blanks))
-        return columns
+    def load(index: list[int]) -> Sequence[pa.ChunkedArray]:
+        try:
+            return [file.read([names[k]]).column(names[k]) for k in index]
+        except (pa.ArrowException, OSError, KeyError):
+            raise InputError(f"{path}: damaged: its columns cannot be read") from None
 
     cells = start.to_pydict() if start is not None and len({*names}) == len(names) else {}
     head = {n: ["" if cell is None else str(cell) for cell in cells[n]] for n in cells}
-    return Table(names, read, lambda k: k + 1, "parquet", head)
-
-
-def _to_numbers(
-    path: str | Path, name: str, column: pa.ChunkedArray, *, is_date: bool
-) -> FloatArray:
-    """Return a column as numbers, or as seconds since 1970; nan if missing."""
-    kind = column.type
-    if is_date and pa.types.is_timestamp(kind):
-        whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
-        column = pa.compute.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
-    elif is_date and pa.types.is_string(kind):
-        seconds = np.full(len(column), math.nan)
-        for k, text in enumerate(column.to_pylist()):
-            try:
-                seconds[k] = math.nan if text is None else parse_iso(text)
-            except ValueError as error:
-                raise InputError(f"{path}: row {k + 1}: column {name!r}: {error}") from None
-        return seconds
-    elif is_date or not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-        wanted = "dates with time" if is_date else "numbers"
-        raise InputError(f"{path}: column {name!r} contains {kind}, not {wanted}")
-    return np.array(column.to_numpy(), np.float64)
+    return Table(str(path), names, load, lambda k: k + 1, "parquet", head)

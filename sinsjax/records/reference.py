@@ -45,13 +45,12 @@ def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Refe
         [10.0, 12.0]
     """
     table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_text(path)
-    return reference_from_table(path, table, layout)
+    return reference_from_table(table, layout)
 
 
-def reference_from_table(
-    path: str | Path, table: Table, layout: RecordLayout | None = None
-) -> Reference:
+def reference_from_table(table: Table, layout: RecordLayout | None = None) -> Reference:
     """Return the reference in an opened table, see `read_reference`."""
+    path = table.source
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
     if len(yaws) > 1:
         raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
@@ -77,7 +76,7 @@ def reference_from_table(
             raise InputError(f"{path}: row {table.row_number(int(bad.argmax()))}: {text}")
     if len(time_s) < 2:
         raise InputError(f"{path}: a reference needs at least two rows")
-    return Reference(time_s, attitude, sigma if sigmas else None, str(path))
+    return Reference(time_s, attitude, sigma if sigmas else None, path)
 
 
 class StoredRecord(NamedTuple):
@@ -105,16 +104,16 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     late, early = float(first - begin), float(end - last)
     if max(late, early) > slack:
         clock = stored.record.t0_s
-        lack, remedy = f"ends {early:.3g} s too early", "a shorter [study] duration_s would do"
-        if late >= early:
-            lack, remedy = f"begins {late:.3g} s too late", "a later [record] start_s would do"
+        remedy = "give a later [record] start_s"
+        if early > late:
+            remedy = "give a shorter [study] duration_s"
         if max(late, early) > end - begin:
             remedy = "do their clocks differ?"
         raise InputError(
             f"{reference.source}: covers {format_seconds(clock + first)} to"
             f" {format_seconds(clock + last)} s, but the study needs"
             f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
-            f" clock of {stored.record.source}: it {lack} ({remedy})"
+            f" clock of {stored.record.source} ({remedy})"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1

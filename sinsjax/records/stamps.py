@@ -4,37 +4,24 @@ A stamp may be late, as one of a busy logger is, if the following ones are in st
 count again within 0.1 s. If the stamps remain late, samples are missing.
 """
 
-import re
-from collections.abc import Callable, Collection, Mapping, Sequence
-from datetime import UTC, date, datetime, time
-from typing import Any, NamedTuple, NoReturn
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, NoReturn
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.records.layout import (
     TIME_UNITS,
     FloatArray,
-    Note,
     RecordLayout,
-    message_key,
     resolve_rate,
 )
 
 _CATCH_UP_S = 0.1  # longest time for which stamps are late
 _AVERAGED_STEPS = 8  # of which some may be late
 _MAX_MISSING_FACTOR = 10  # times the samples present; a larger gap is a set clock
-_POSSIBLE_HZ = 0.5, 5000.0  # rates of IMUs
-_PLACEHOLDER_HZ = 100.0
-_MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeated rows
-_UNIT = re.compile(r"(?:^|[\s_.\[(])(nano|micro|milli|[nmu])?s(?:ec(?:ond)?s?)?[\])\s]*$")
-_UNITS = {"n": "ns", "nano": "ns", "u": "us", "micro": "us", "m": "ms", "milli": "ms", None: "s"}
-_TIME_NAME = re.compile(
-    r"time|stamp|epoch|clock|(^|[._\s])(t|tow|sow|utc|[mun]?secs?|(milli|micro|nano)?seconds?"
-    r"|(milli|micro|nano)sec)($|[\s_\[(])",
-    re.IGNORECASE,
-)
 
 
 class Sampling(NamedTuple):
@@ -44,23 +31,6 @@ class Sampling(NamedTuple):
     t0_s: float  # start of the first sample
     number: NDArray[np.int64]  # (T,) of each sample, from 0; it jumps where samples are missing
     remark: str = ""  # how many stamps are late
-
-
-def parse_iso(text: str) -> float:
-    """Return the seconds since 1970 of an ISO date and time, in UTC unless it has a zone.
-
-    Those since midnight of a time of day, such as 12:00:00.040.
-    """
-    text = text.strip()
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        try:
-            clock = time.fromisoformat(text if ":" in text else "")
-        except ValueError:
-            raise ValueError(f"{text[:32]!r} is not an ISO 8601 date and time") from None
-        moment = datetime.combine(date(1970, 1, 1), clock)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def combine_times(times: Sequence[FloatArray], layout: RecordLayout) -> FloatArray:
@@ -93,7 +63,7 @@ def find_sampling(
         return Sampling(layout.rate_hz, float(time_s[0]) - 1 / layout.rate_hz, np.zeros(1, int))
 
     def refuse(k: int, rate: float = 0.0) -> NoReturn:
-        hint = f"drop {message_key(layout, 'time_column')} and give rate_hz if the stamps are bad"
+        hint = "drop this column and give rate_hz if the stamps are bad"
         step_s, problem = float(time_s[k + 1] - time_s[k]), f"a gap at {rate:g} Hz"
         if step_s < 0:
             problem = "time runs backward"
@@ -164,130 +134,10 @@ def _find_rate(time_s: FloatArray) -> _Rate:
 
 def _min_of_following(values: FloatArray, count: int) -> FloatArray:
     """Return the smallest of each value (T,) and those after it, ``count`` in all."""
-    padding = np.full(2 * count - len(values) % count, np.inf)
-    blocks = np.concatenate([values, padding]).reshape(-1, count)
-    to_end = np.minimum.accumulate(blocks[:, ::-1], axis=1)[:, ::-1].ravel()
-    from_begin = np.minimum.accumulate(blocks, axis=1).ravel()
-    last = np.arange(len(values)) + count - 1
-    return np.asarray(np.minimum(to_end[: len(values)], from_begin[last]))
+    padded = np.concatenate([values, np.full(count - 1, np.inf)])
+    return np.asarray(sliding_window_view(padded, count).min(axis=1))
 
 
 def format_step(time_s: FloatArray, k: int) -> str:
     """Return the times of a stamp and the next one, for messages."""
     return f"from {float(time_s[k])!r} to {float(time_s[k + 1])!r} s"
-
-
-class Clock(NamedTuple):
-    """A proposed clock of a file."""
-
-    fields: dict[str, Any]  # of the layout: columns and units; none if they cannot be read
-    rate_hz: float  # a placeholder if it is an open question
-    notes: dict[str, Note]  # reasons and questions by key of the layout
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it has an open question."""
-        return any(note.question for note in self.notes.values())
-
-
-def propose_clock(
-    path: str, table: Any, answers: Mapping[str, Any], taken: Collection[str] = ()
-) -> Clock:
-    """Propose the clock of a table from the names of its columns, and the steps of their stamps.
-
-    Args:
-        path: the file, for messages.
-        table: the opened file, a `reader.Table`.
-        answers: keys of the layout that the user has given.
-        taken: columns of the sensors.
-    """
-    given, dates = answers.get("time_column"), table.dates
-    numbers = table.numbers
-    names = [
-        name for name in filter(None, table.names)
-        if name == given or name not in taken and table.names.count(name) == 1
-        and (name in dates or name in numbers and _TIME_NAME.search(name))
-    ]  # fmt: skip
-    read = table.read(names, blanks=True, dates=dates) if names else []
-    found = zip(names, read, strict=True)
-    columns = {name: stamps for name, stamps in found if np.isfinite(stamps).sum() > 1}
-    units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in columns}
-    fractions = {
-        name: units[name] for name in columns
-        if units[name] in ("ms", "us", "ns")
-        and _is_fraction(columns[name] * TIME_UNITS[units[name]])
-    }  # fmt: skip
-    clocks = [
-        _try_clock(path, columns, name, answers.get("time_unit", units[name]), fractions, answers)
-        for name in columns
-        if name == (given or name)
-    ]
-    if clocks:
-        return min(clocks, key=lambda clock: (clock.is_open, not clock.fields))
-    question = "no column has times: give the true rate"
-    return Clock({}, _PLACEHOLDER_HZ, {"rate_hz": Note("Hz", "", question)})
-
-
-def _unit_by_name(table: Any, name: str) -> str:
-    """Return the unit of a column of times by the row of units or its name; "" for none."""
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", table.units.get(name) or name)  # as TimeUS
-    found = _UNIT.search(text.lower())
-    return _UNITS[found[1]] if found else ""
-
-
-def _is_fraction(values_s: FloatArray) -> bool:
-    """Return whether values (T,) may be fractions of a second, which begin again with each."""
-    return bool(np.nanmin(values_s) >= 0 and np.nanmax(values_s) < 1 < len(values_s)) and bool(
-        (np.diff(values_s) < 0).any()
-    )
-
-
-def _try_clock(
-    path: str,
-    columns: Mapping[str, FloatArray],
-    name: str,
-    unit: str,
-    fractions: Mapping[str, str],
-    answers: Mapping[str, Any],
-) -> Clock:
-    """Return the clock of a column of times, perhaps with a column of fractions of a second."""
-    stamps = columns[name]
-    fields: dict[str, Any]
-    fields, note = {"time_column": name, "time_unit": unit or "s"}, Note("by its name")
-    is_whole = unit in ("", "s") and np.array_equal(stamps, np.floor(stamps), equal_nan=True)
-    if is_whole and (fraction := next((other for other in fractions if other != name), "")):
-        fields |= {"time_fraction_column": fraction, "time_fraction_unit": fractions[fraction]}
-        note = Note("seconds and their fraction")
-    elif unit != "iso" and "time_unit" not in answers:
-        fields["time_unit"], note = _unit_by_steps(name, unit, stamps)
-    layout = RecordLayout("csv", **fields, time_scale=answers.get("time_scale", 1.0))
-    time_s = combine_times([columns[column] for column in layout.time_columns], layout)
-    time_s = time_s[np.isfinite(time_s)]
-    is_new = np.diff(time_s, prepend=-np.inf) != 0
-    if is_new.mean() > _MIN_NEW:
-        time_s = time_s[is_new]
-    try:
-        rate_hz = find_sampling(path, layout, time_s, lambda k: k + 1).rate_hz
-    except InputError as error:
-        problem = str(error).removeprefix(f"{path}: ").partition(" (drop")[0]
-        span_s = float(np.ptp(time_s)) if len(time_s) > 1 else 0.0
-        rate_hz = (len(time_s) - 1) / span_s if span_s else _PLACEHOLDER_HZ
-        mean = f"; the mean step would give {rate_hz:.6g} Hz" if span_s else ""
-        question = f"{problem}{mean}: give the true rate"
-        return Clock({}, rate_hz, {"rate_hz": Note("Hz", "", question)})
-    reason = "the stamps are taken for the ends of the samples"
-    return Clock(fields, rate_hz, {"time_column": Note(reason), "time_unit": note})
-
-
-def _unit_by_steps(name: str, named: str, stamps: FloatArray) -> tuple[str, Note]:
-    """Return the unit of stamps (T,): the named one, or what their steps can be, or a question."""
-    steps = np.diff(stamps[np.isfinite(stamps)])
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
-    possible = [unit for unit in rates if _POSSIBLE_HZ[0] <= rates[unit] <= _POSSIBLE_HZ[1]]
-    unit = named or (possible or ["s"])[0]
-    if unit in possible and (named or len(possible) == 1):
-        return unit, Note(f"steps of {step:.4g} {unit}: {rates[unit]:.4g} Hz")
-    shown = ", ".join(f'"{other}": {rates[other]:.4g} Hz' for other in possible or rates)
-    problem = f"is named as {named}, but" if named else "does not tell its unit:"
-    return unit, Note("", "", f"column {name!r} {problem} its steps of {step:.4g} are {shown}")

@@ -3,21 +3,19 @@
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
 from sinsjax.platform.files import atomic_write
 from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
-    RATES,
     TIME_UNITS,
     Flaw,
     FloatArray,
@@ -26,9 +24,8 @@ from sinsjax.records.layout import (
     check_layout,
     find_spans,
     from_body_axes,
-    increment_factor,
-    parse_axes_order,
-    quantity_of,
+    is_rate,
+    rate_factor,
     resolve_rate,
     to_vehicle_axes,
     unit_factor,
@@ -50,78 +47,78 @@ def read_csv(path: str | Path, layout: RecordLayout) -> Record:
     column.
     """
     check_layout(layout, str(path))
-    return record_from_table(path, layout, open_text(path, layout.columns, layout.skip_rows))
+    return record_from_table(layout, open_text(path, layout.columns, layout.skip_rows))
 
 
 def read_parquet(path: str | Path, layout: RecordLayout) -> Record:
     """Read a record from a Parquet file, like `read_csv`, with rows of the table from 1."""
     check_layout(layout, str(path))
-    return record_from_table(path, layout, open_parquet(path))
+    return record_from_table(layout, open_parquet(path))
 
 
-def record_from_table(path: str | Path, layout: RecordLayout, table: Table) -> Record:
+def record_from_table(layout: RecordLayout, table: Table) -> Record:
     """Return the record in an opened table, see `read_csv`; the layout is valid."""
-    names = [*layout.gyro_columns, *layout.accel_columns]
+    names = [name for sensor in layout.sensors for name in sensor.columns]
     dates = [layout.time_column] if layout.time_unit == "iso" else []
     columns = table.read([*names, *layout.time_columns], blanks=True, dates=dates)
-    columns, times = columns[:6], columns[6:]
-    if not any(np.isfinite(np.add.reduce(columns))):
-        raise InputError(f"{path}: no row has a number in all six columns of the sensors")
-    remarks, row_number = list[str](), table.row_number
+    rows, times = np.column_stack(columns[:6]), columns[6:]
+    del columns
+    if not np.isfinite(rows).all(axis=1).any():
+        raise InputError(f"{table.source}: no row has a number in all six columns of the sensors")
+    remarks, samples = list[str](), np.arange(len(rows))
     if times:
         time_s = combine_times(times, layout)
-        kept = np.isfinite(time_s)  # a sample without a time stamp is missing
-        if not kept.any():
-            raise InputError(f"{path}: column {layout.time_column!r}: {MISSING_TEXT}")
-        repeated = find_repeated_rows(time_s, columns) & kept
+        if not np.isfinite(time_s).any():
+            raise InputError(f"{table.source}: column {layout.time_column!r}: {MISSING_TEXT}")
+        repeated = np.zeros(len(rows), bool)
+        repeated[1:] = (time_s[1:] == time_s[:-1]) & (rows[1:] == rows[:-1]).all(axis=1)
         if repeated.any():
             count = format_count(int(repeated.sum()), "row")
-            first = row_number(int(repeated.argmax()))
+            first = table.row_number(int(repeated.argmax()))
             remarks.append(f"{count} left out that repeat the one before, the first in row {first}")
-        samples = np.flatnonzero(kept & ~repeated)
-        if len(samples) < len(time_s):
-            columns, time_s = [column[samples] for column in columns], time_s[samples]
-
-        def row_number(k: int) -> int:
-            return table.row_number(int(samples[k]))
-
-        sampling = find_sampling(str(path), layout, time_s, row_number)
+        samples = np.flatnonzero(np.isfinite(time_s) & ~repeated)
+        rows, time_s = rows[samples], time_s[samples]
+        sampling = find_sampling(
+            table.source, layout, time_s, lambda k: table.row_number(int(samples[k]))
+        )
         remarks += filter(None, [sampling.remark])
     else:
         # check_layout ensures that there is a time column or a rate.
         assert layout.rate_hz is not None
-        time_s, sampling = np.empty(0), Sampling(layout.rate_hz, 0.0, np.arange(len(columns[0])))
+        time_s, sampling = np.empty(0), Sampling(layout.rate_hz, 0.0, samples)
     rate_hz, number = sampling.rate_hz, sampling.number
 
-    def describe_gap(columns: Sequence[FloatArray], sample: int) -> str:
-        k = int(np.searchsorted(number, sample))
-        if number[k] != sample:
-            place = f"column {layout.time_column!r}: row {row_number(k)}"
-            return f"{path}: {place}: a gap at {rate_hz:g} Hz, {format_step(time_s, k - 1)}"
-        channel = next(c for c, column in enumerate(columns) if not np.isfinite(column[sample]))
-        return f"{path}: row {row_number(k)}: column {names[channel]!r}: {MISSING_TEXT}"
+    def row_number(sample: int) -> int:
+        return table.row_number(int(samples[np.searchsorted(number, sample)]))
 
-    columns, flaws, filled = _fill_gaps(columns, sampling, layout.max_gap_s, describe_gap)
-    scales = (layout.gyro_unit, layout.gyro_scale), (layout.accel_unit, layout.accel_scale)
-    anomalies = find_anomalies(
-        names,
-        columns,
-        [increment_factor(unit, rate_hz) * f * rate_hz for unit, scale in scales for f in scale],
-        rate_hz,
-        lambda sample: row_number(int(np.searchsorted(number, sample))),
+    def describe_gap(sample: int) -> str:
+        k = int(np.searchsorted(number, sample))
+        row = row_number(sample)
+        if number[k] != sample:
+            step = format_step(time_s, k - 1)
+            place = f"{table.source}: column {layout.time_column!r}: row {row}"
+            return f"{place}: a gap at {rate_hz:g} Hz, {step}"
+        channel = int(np.isfinite(rows[k]).argmin())
+        return f"{table.source}: row {row}: column {names[channel]!r}: {MISSING_TEXT}"
+
+    whole, flaws, filled = _fill_gaps(rows, sampling, layout, describe_gap)
+    factors = np.concatenate(
+        [np.multiply(rate_factor(unit, rate_hz), scale) for _, unit, scale in layout.sensors]
     )
-    dv, dtheta = (
-        to_vehicle_axes(
-            _to_increments(columns, unit, scale, rate_hz, layout.axes_order), layout.mounting_deg
-        )
-        for unit, scale in reversed(scales)
-    )
+    anomalies = find_anomalies(names, whole, factors, rate_hz, row_number)
+    increments = list[FloatArray]()
+    for values, (_, unit, scale) in zip((whole[:, :3], whole[:, 3:]), layout.sensors, strict=True):
+        values = values * (unit_factor(unit) * np.array(scale))
+        if is_rate(unit):
+            values /= rate_hz
+        increments.append(to_vehicle_axes(values, layout))
+    dtheta, dv = increments
     return Record(
         dtheta=dtheta,
         dv=dv,
         rate_hz=rate_hz,
         t0_s=sampling.t0_s,
-        source=str(path),
+        source=table.source,
         flaws=tuple(flaws),
         filled=filled,
         anomalies=anomalies,
@@ -129,79 +126,32 @@ def record_from_table(path: str | Path, layout: RecordLayout, table: Table) -> R
     )
 
 
-def find_repeated_rows(time_s: FloatArray, columns: Sequence[FloatArray]) -> NDArray[np.bool_]:
-    """Return whether each row (T,) has the stamp and the values of the one before it."""
-    repeated = np.zeros(len(time_s), bool)
-    candidates = np.flatnonzero(time_s[1:] == time_s[:-1]) + 1
-    if candidates.size:
-        same = [column[candidates] == column[candidates - 1] for column in columns]
-        repeated[candidates] = np.logical_and.reduce(same)
-    return repeated
-
-
-def _to_increments(
-    columns: list[FloatArray], unit: str, scale: Sequence[float], rate_hz: float, order: str
-) -> FloatArray:
-    """Convert the last three columns, which are consumed, to increments (T, 3) in the box's axes.
-
-    In place, to save the memory of a second copy of a long record.
-    """
-    index, signs = parse_axes_order(order)
-    axis_columns = [columns.pop() for _ in range(3)][::-1]
-    increments = np.empty((3, len(axis_columns[0]))).T  # column-major, as it is filled and read
-    for axis, (source_axis, sign) in enumerate(zip(index, signs, strict=True)):
-        values = axis_columns[source_axis]
-        values *= unit_factor(unit) * scale[source_axis]
-        if quantity_of(unit) == RATES:
-            values /= rate_hz
-        values *= sign
-        increments[:, axis] = values
-    return increments
-
-
 def _fill_gaps(
-    columns: list[FloatArray],
-    sampling: Sampling,
-    max_gap_s: float,
-    describe_gap: Callable[[Sequence[FloatArray], int], str],
-) -> tuple[list[FloatArray], list[Flaw], int]:
-    """Return columns of all samples from the first to the last, the flaws and the filled samples.
+    rows: FloatArray, sampling: Sampling, layout: RecordLayout, describe_gap: Callable[[int], str]
+) -> tuple[FloatArray, list[Flaw], int]:
+    """Return rows of all samples from the first to the last, the flaws and the filled samples.
 
-    Short gaps are interpolated; others become nan and a flaw. The columns may be changed.
+    Short gaps are interpolated; others become nan and a flaw.
     """
     rate, number = sampling.rate_hz, sampling.number
-    missing = np.zeros(number[-1] + 1, bool)
-    whole = []
-    for column in columns:
-        if len(column) < len(missing):
-            values = np.full(len(missing), np.nan)
-            values[number] = column
-            column = values
-        missing |= ~np.isfinite(column)
-        whole.append(column)
-    fill, flaws = np.zeros(len(missing), bool), list[Flaw]()
+    whole = np.full((number[-1] + 1, rows.shape[1]), np.nan)
+    whole[number] = rows
+    missing = np.asarray(~np.isfinite(whole).all(axis=1))
+    good, fill, flaws = np.flatnonzero(~missing), np.zeros(len(whole), bool), list[Flaw]()
     for begin, end in find_spans(missing):
-        inside = begin > 0 and end < len(missing)
+        inside = begin > 0 and end < len(whole)
         gap_s = (end - begin + 1) / rate if inside else math.inf
-        if gap_s <= max_gap_s * (1 + 1e-9):
+        if gap_s <= layout.max_gap_s * (1 + 1e-9):
             fill[begin:end] = True
             continue
-        text = describe_gap(whole, begin)
-        if gap_s <= _MAX_OFFERED_GAP_S:
-            text += f" (max_gap_s = {_round_up_to_3_digits(gap_s):g} would interpolate it)"
+        text = describe_gap(begin)
+        if gap_s <= _MAX_OFFERED_GAP_S and layout.format != "psins":
+            text += f" (max_gap_s = {math.ceil(gap_s * 1e3 - 1e-6) / 1e3:g} would interpolate it)"
         flaws.append(Flaw(begin, end, text))
-    for column in whole:
-        if fill.any():
-            good = np.flatnonzero(~missing)
-            column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
-        column[missing & ~fill] = np.nan
+    for column in whole.T:
+        column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
+    whole[missing & ~fill] = np.nan
     return whole, flaws, int(fill.sum())
-
-
-def _round_up_to_3_digits(gap_s: float) -> float:
-    """Return the next longer time of three digits, as a user would write it."""
-    unit = float(10.0 ** (math.floor(math.log10(gap_s)) - 2))
-    return float(math.ceil(gap_s / unit - 1e-9) * unit)
 
 
 def write_csv(
@@ -246,11 +196,9 @@ def _record_to_columns(
     if layout.time_column:
         time_s = record.t0_s + np.arange(1, len(record.dv) + 1) / record.rate_hz
         columns[layout.time_column] = time_s / TIME_UNITS[layout.time_unit] / layout.time_scale
-    for names, increments, unit, scale in (
-        (layout.gyro_columns, record.dtheta, layout.gyro_unit, layout.gyro_scale),
-        (layout.accel_columns, record.dv, layout.accel_unit, layout.accel_scale),
-    ):
+    pairs = zip((record.dtheta, record.dv), layout.sensors, strict=True)
+    for increments, (names, unit, scale) in pairs:
         values = from_body_axes(increments, layout.axes_order)
-        values = values * (record.rate_hz if quantity_of(unit) == RATES else 1.0)
+        values = values * (record.rate_hz if is_rate(unit) else 1.0)
         columns |= zip(names, (values / (unit_factor(unit) * np.array(scale))).T, strict=True)
     return columns

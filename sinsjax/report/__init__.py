@@ -3,25 +3,25 @@
 A study is reported by `monte_carlo`, a tuning by `tuning`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 
+from sinsjax.console import print_line
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import remove_other_figures
 from sinsjax.execution.results import Results
 from sinsjax.messages import shorten
-from sinsjax.platform.files import require_writable
+from sinsjax.platform.files import atomic_write, make_folder, require_writable
 from sinsjax.report import monte_carlo
-from sinsjax.report.output import (
-    FIGURES_FOLDER,
-    DrawnReport,
-    print_report,
-    save_figures,
-    write_html_page,
-)
+from sinsjax.report.base import Report, Table, describe_success_criterion
+from sinsjax.report.markdown import to_html
+from sinsjax.report.terminal import print_table, print_verdict
 from sinsjax.tuning.history import is_tuning
+
+FIGURES_FOLDER = "figures"
+"""Folder of the figures, in the directory of the results."""
 
 
 def print_reports(
@@ -46,7 +46,26 @@ def print_reports(
             a report that fails otherwise. The results are then unchanged.
     """
     try:
-        _print_reports(directories, console, html, full=full, warnings_shown=warnings_shown)
+        if html is not None:
+            require_writable(html, "--html")
+        drawn: list[tuple[Report, Mapping[str, bytes]]] = []
+        names: dict[str, None] = {}
+        for directory in directories:
+            with_tables = full or html is not None
+            source, report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
+            images = report.draw()
+            make_folder(directory / FIGURES_FOLDER)
+            for name, content in images.items():
+                with atomic_write(directory / FIGURES_FOLDER / f"{name}.png") as file:
+                    file.write(content)
+            remove_other_figures(directory, [f"{name}.png" for name in images])
+            print_report(report, console, directory, full=full)
+            drawn.append((report, images))
+            names[source.study.name] = None
+        if html is not None:
+            make_folder(html.parent)
+            with atomic_write(html) as file:
+                file.write(to_html(", ".join(names), drawn).encode())
     except InputError:
         raise
     except Exception as error:
@@ -56,35 +75,41 @@ def print_reports(
         raise InputError(text) from error
 
 
-def _print_reports(
-    directories: Sequence[Path],
-    console: Console,
-    html: Path | None,
-    *,
-    full: bool,
-    warnings_shown: bool,
-) -> None:
-    if html is not None:
-        require_writable(html, "--html")
-    reports = []
+def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, Report]:
+    """The results in a directory, and their report."""
     source: Results
-    for directory in directories:
-        if is_tuning(directory):
-            from sinsjax.report import tuning  # late: it needs JAX
-            from sinsjax.tuning.results import Tuning
+    if is_tuning(directory):
+        from sinsjax.report import tuning  # late: it needs JAX
+        from sinsjax.tuning.results import Tuning
 
-            source = found = Tuning.read(directory)
-            report = tuning.build_report(found)
-        else:
-            source = Results.read(directory, whole_draws=True)
-            report = monte_carlo.build_report(
-                source, with_tables=full or html is not None, warnings_shown=warnings_shown
-            )
-        drawn = DrawnReport.from_report(source, report)
-        save_figures(drawn.images, directory / FIGURES_FOLDER)
-        remove_other_figures(directory, [f"{name}.png" for name in drawn.images])
-        print_report(drawn, console, full=full)
-        reports.append(drawn)
-    if html is not None:
-        names = dict.fromkeys(drawn.source.study.name for drawn in reports)
-        write_html_page(html, ", ".join(names), reports)
+        source = tuned = Tuning.read(directory)
+        report = tuning.build_report(tuned)
+    else:
+        source = Results.read(directory, whole_draws=True)
+        report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
+    return source, report._replace(
+        footer=report.footer or source.sample_size_text,
+        definition=describe_success_criterion(source.study),
+        origin=f"{source.config}; computed by sinsjax {source.version}",
+    )
+
+
+def print_report(report: Report, console: Console, directory: Path, *, full: bool = False) -> None:
+    """Print the verdict, where the figures are, and all tables if wanted."""
+    console.print()
+    footer = [f"Figures: {directory}/{FIGURES_FOLDER}"] if report.pictures else []
+    if not full:
+        footer.append(f"All tables: sinsjax report {directory} --full")
+    print_verdict(report, console, footer, full=full)
+    if not full:
+        return
+    console.print()
+    print_line(console, report.definition, wrap=True)
+    for block in report.blocks:
+        if isinstance(block, str):
+            print_line(console, block, wrap=True)
+        elif isinstance(block, Table):
+            print_table(block, console)
+    if report.pictures:
+        listed = ", ".join(f"{picture.name}.png" for picture in report.pictures)
+        print_line(console, f"Figures: {listed}.", wrap=True)

@@ -5,9 +5,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis
+from sinsjax.analysis.formats import format_heading_error
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
@@ -15,7 +17,7 @@ from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point
 from sinsjax.records.layout import parse_axes_order
 from sinsjax.records.motion import EARTH_RATE
-from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table
+from sinsjax.report.base import MAX_ROWS, Fact, Report, Table, build_table, caution
 from sinsjax.report.verdict import (
     SweepOutcome,
     answer_facts,
@@ -27,45 +29,66 @@ from sinsjax.report.verdict import (
 )
 from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
-_ANGLES = ("heading", "pitch", "roll")
-_COLUMNS = (*(f"{angle}_deg" for angle in _ANGLES), "sigma_u_arcmin", "phi_u_arcmin")
+_HEADERS = {
+    "heading_deg": ("heading (deg)", 3),
+    "pitch_deg": ("pitch (deg)", 3),
+    "roll_deg": ("roll (deg)", 3),
+    "sigma_u_arcmin": ("1 sigma (')", 1),
+    "phi_u_arcmin": ("error (')", 1),
+}
+"""Columns of the table of final attitudes: their headers and decimals."""
+_LEVEL_SIGMAS, _LEVEL_ERRORS = (tuple(f"{x}_{a}_arcmin" for a in "en") for x in ("sigma", "phi"))
 _EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
-def attitude_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
+def attitude_verdict(
+    source: Results, outcome: SweepOutcome | None = None, *, warnings_shown: bool = False
+) -> Report:
     """Return the attitude of each start, its cautions, and the best option.
 
     Args:
-        source: results on a record, or of a study without truth.
+        source: results on a record, of a study without truth, or of methods without heading.
+        outcome: of the results, if some run has a truth.
         warnings_shown: whether the user has seen the study's warnings.
     """
     study = source.study
-    names = ["draw_id", "variant_id", "start_s", *study.keys_shown, *_COLUMNS]
+    methods = [METHODS[name] for name in study.methods]
+    finds_heading = any(method.finds_heading for method in methods)
+    names = ["draw_id", "variant_id", "start_s", *study.keys_shown, *_HEADERS, *_LEVEL_SIGMAS]
     rows = source.rows(names).to_pylist()
-    last, judged, table = rows[-1], [], None
-    if any(row["phi_u_arcmin"] is not None for row in rows) and study.n_variants > 1:
-        outcome = SweepOutcome.from_source(source)
+    last, table, judged = rows[-1], None, []
+    if outcome and study.n_variants > 1 and finds_heading:
         last = next(row for row in reversed(rows) if row["variant_id"] == outcome.best_variant)
         judged, table = [*answer_facts(outcome), *caution_facts(outcome)], condition_table(outcome)
     elif len(rows) > 1:
         table = _final_attitude_table(source, rows)
-    facts = [_attitude_fact(source, last, len(rows)), *_bias_floor_fact(source), *judged]
+    facts = [_attitude_fact(source, last, len(rows), finds_heading=finds_heading)]
+    if not finds_heading:
+        facts += _level_facts(source)
+    elif any(method.has_floor for method in methods):
+        facts += _bias_floor_fact(source)
     first, doubts = split_warnings(source, warnings_shown=warnings_shown)
-    doubts = [*first, *doubts, *_caution_facts(source)]
-    return Report(study_title(source), facts + doubts, table)
+    doubts = [*(first if finds_heading else ()), *doubts, *_caution_facts(source)]
+    return Report(study_title(source), [*facts, *judged, *doubts], table)
 
 
-def _attitude_fact(source: Results, row: Mapping[str, Any], n_runs: int) -> Fact:
+def _attitude_fact(
+    source: Results, row: Mapping[str, Any], n_runs: int, *, finds_heading: bool
+) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
-    heading, pitch, roll, sigma, error = (row[name] for name in _COLUMNS)
-    if heading is None and pitch is not None:
-        return Fact("Attitude", f"no heading, pitch {pitch:.3f}, roll {roll:.3f} deg")
-    if heading is None:
-        return Fact("Attitude", "unknown, the run is not finite", True)
-    text = f"heading {heading:.3f} deg{_front_text(source)}"
-    text += "" if sigma is None else f" (1 sigma {sigma:.1f}')"
-    text += f", pitch {pitch:.3f}, roll {roll:.3f} deg"
-    text += "" if error is None else f"; {error:+.1f}' from the reference"
+    heading, pitch, roll, sigma, error = (row[name] for name in _HEADERS)
+    if pitch is None or roll is None:
+        return caution("unknown, the run is not finite", "Attitude")
+    text, sigmas = f"pitch {pitch:.3f}, roll {roll:.3f} deg", [row[name] for name in _LEVEL_SIGMAS]
+    if not finds_heading and None not in sigmas:
+        biases = max(source.study.values("level_accel_bias_ug"))
+        text += f" (1 sigma {max(sigmas):.1f}', with accelerometer biases of {biases:,g} ug)"
+    elif finds_heading and heading is None:
+        text = f"no heading, {text}"
+    elif finds_heading:
+        shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
+        text = f"heading {heading:.3f} deg{_front_text(source)}{shown}, {text}"
+        text += "" if error is None else f"; {error:+.1f}' from the reference"
     if n_runs > 1:
         start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
         text += f" ({start})"
@@ -83,13 +106,24 @@ def _front_text(source: Results) -> str:
     return f" of {'-' if sign < 0 else '+'}{'xyz'[front]}"
 
 
+def _level_facts(source: Results) -> Iterator[Fact]:
+    """The error of pitch and roll from the truth or reference, and that there is no heading."""
+    table = source.distinct_rows(["draw_id", "start_s", *_LEVEL_ERRORS])
+    errors = np.concatenate([analysis.numeric_column(table, name) for name in _LEVEL_ERRORS])
+    if np.isfinite(errors).any():
+        recorded, draws = source.study.is_recorded, table["draw_id"].to_numpy()
+        clusters = np.tile(draws * (not recorded), len(_LEVEL_ERRORS))
+        found = format_heading_error(analysis.rms(errors, clusters))
+        aim = "reference" if recorded else "truth"
+        yield Fact("Accuracy", f"{found}' rms from the {aim} per angle")
+    yield Fact("Heading", f"none: {' and '.join(source.study.methods)} finds pitch and roll alone")
+
+
 def _bias_floor_fact(source: Results) -> Iterator[Fact]:
     """The heading error that biases leave on a parked vehicle, if its latitude is known."""
-    if not any(METHODS[name].has_floor for name in source.study.methods):
-        return
     latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
     if latitude_deg is None:
-        latitude_deg = source.record_latitude_deg
+        latitude_deg = source.manifest.record_latitude_deg
     if latitude_deg is None:
         return
     gyro, accel = _EXAMPLES
@@ -103,53 +137,44 @@ def _bias_floor_fact(source: Results) -> Iterator[Fact]:
 
 
 def _caution_facts(source: Results) -> Iterator[Fact]:
-    filters = [METHODS[name] for name in source.study.methods if METHODS[name].has_covariance]
+    """Doubts about the filter's own 1 sigma, and about fits."""
+    methods = [METHODS[name] for name in source.study.methods]
+    filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if filters and not all(map(estimates_biases, filters)):
         text = "1 sigma is the filter's own and excludes constant biases: add their floor in"
         text += " quadrature, or use gravity_fit with fit_gyro_bias_deg_per_h"
-        yield Fact("Caution", text, True)
-    count = _count_runs_above_band(source)
-    if count:
-        yield Fact("Caution", f"the innovations of {count:,} runs contradict their 1 sigma", True)
-    if "gravity_fit" in source.study.methods:
-        yield from _fit_cautions(source)
-
-
-def _fit_cautions(source: Results) -> Iterator[Fact]:
-    """Doubts about fits, and a gyro bias beyond what the checks of a record accept."""
-    yield from fit_cautions(source)
+        yield caution(text)
+    mean, _, high = _innovation_statistics(source) or (np.zeros(0),) * 3
+    if count := int((mean > high).sum()):
+        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
     record = source.study.record
+    if "gravity_fit" not in source.study.methods:
+        return
+    yield from fit_cautions(source)
     limit = record.gyro_bias_deg_per_h if record is not None else None
     rows = source.rows(f"fit_gyro_bias_{axis}_deg_per_h" for axis in ("right", "front", "up"))
     biases = [analysis.numeric_column(rows, name) for name in rows.column_names]
     bias = float(np.nanmax(np.abs(biases), initial=0.0))
-    if limit is not None and bias > limit:
+    if limit is not None and bias > limit:  # beyond what the checks of a record accept
         text = f"the fit finds a gyro bias of {bias:.3g} deg/h, beyond {limit:.3g}"
-        yield Fact("Caution", f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?", True)
+        yield caution(f"{text} ([record] gyro_bias_deg_per_h): is a sign wrong?")
 
 
 def _final_attitude_table(source: Results, rows: list[dict[str, Any]]) -> Table:
     """Final heading, pitch and roll of each start, or of each variant at the last start."""
-    one_variant = source.study.n_variants == 1
-    keys = source.study.keys_shown
-    words = {"sigma_u_arcmin": "1 sigma (')", "phi_u_arcmin": "error (')"}
-    words |= {f"{angle}_deg": f"{angle} (deg)" for angle in _ANGLES}
-    digits = dict(zip(_COLUMNS, (3, 3, 3, 1, 1), strict=True))
-    columns = [name for name in digits if any(row[name] is not None for row in rows)]
-    listed = rows if one_variant else rows[-source.study.n_variants :]
-    if one_variant:
-        first, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
-        names = [f"{row[key]:g}" for row in rows]
+    keys, name = source.study.keys_shown, "variant"
+    if source.study.n_variants == 1:
+        name, key = ("start (s)", "start_s") if source.study.is_recorded else ("draw", "draw_id")
+        groups = [({name: row[key]}, row) for row in rows]
     else:
-        first, names = (
-            "variant",
-            [describe_point({key: row[key] for key in keys}) for row in listed],
-        )
+        listed = rows[-source.study.n_variants :]
+        groups = [({name: describe_point({k: row[k] for k in keys})}, row) for row in listed]
     cells = [
-        [name, *(analysis.format_number(row[column], digits[column]) for column in columns)]
-        for name, row in zip(names, listed, strict=True)
+        (header, lambda row, x=x, digits=digits: analysis.format_number(row[x], digits))
+        for x, (header, digits) in _HEADERS.items()
+        if any(row[x] is not None for row in rows)
     ]
-    return Table("Attitude at the end", [first, *(words[name] for name in columns)], cells)
+    return build_table("Attitude at the end", [name], groups, cells, max_rows=len(groups))
 
 
 def attitude_table(source: Results) -> Table:
@@ -166,7 +191,7 @@ def attitude_table(source: Results) -> Table:
     notes = [f"{left} more runs are in `summary/`."] if (left := source.runs - len(rows)) else []
     notes += [describe_innovations(source)] if source.study.is_recorded else []
     title = "Attitude at the end, with the filter's own 1 sigma"
-    return build_table(title, keys, rows, cells, " ".join(notes))
+    return build_table(title, keys, [(row, row) for row in rows], cells, " ".join(notes))
 
 
 def describe_innovations(source: Results) -> str:
@@ -195,13 +220,7 @@ def describe_innovations(source: Results) -> str:
     return text
 
 
-def _count_runs_above_band(source: Results) -> int:
-    """Return the number of runs with innovations above the chi-square band."""
-    statistics = _innovation_statistics(source)
-    return 0 if statistics is None else int((statistics[0] > statistics[2]).sum())
-
-
-def _innovation_statistics(source: Results) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _innovation_statistics(source: Results) -> tuple[NDArray, NDArray, NDArray] | None:
     """The mean of r' S^-1 r of each run with a filter, and its 95 % chi-square band."""
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])

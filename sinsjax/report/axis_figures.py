@@ -1,26 +1,30 @@
-"""Tables and figures over a study's swept numbers: heat maps, and curves with intervals."""
+"""Figures over a study's swept and drawn numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import split_into_panels
+from sinsjax.analysis.grids import Grid, median_over_draws
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
-from sinsjax.plots.comparison import build_comparison_panels, has_significant_effect
+from sinsjax.plots.comparison import MAX_LINES, build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
 from sinsjax.report.base import Block, Picture, describe_intervals
-from sinsjax.report.grouping import BINS_NOTE, bin_drawn_keys, describe_undrawn_lines
 from sinsjax.study.keys import is_condition_key, is_method_setting
+from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
 
+BINS_NOTE = "the median of each bin, of about as many draws."
+_MAX_BINS = 8
+_MIN_DRAWS_PER_BIN = 10  # the interval of fewer draws is too wide to be of use
+_DIGITS = 3  # significant ones of a bin's name
 _NOT_CONVERGED = "not converged"
 _FLAG = "flagged"
 
@@ -48,26 +52,19 @@ def build_axis_figures(source: Results) -> list[Block]:
     intervals; with none, nothing. Then curves over each drawn number.
     """
     axes, line_keys = figure_axes(source.study)
-    blocks: list[Block]
+    blocks: list[Block] = []
     if len(axes) == 2:
-        blocks = [
-            block for yard in source.success_measures for block in _heat_map_figures(source, yard)
-        ]
+        for criterion in source.success_measures:
+            blocks += _heat_maps(source, criterion, list(axes), line_keys)
     else:
-        blocks = [
-            figure for axis in axes if (figure := _axis_curve_figure(source, axis, line_keys))
-        ]
+        for axis in axes:
+            blocks += _curves_along_axis(source, "along_axis", axis, line_keys)
     insignificant = []
     for key, (binned_source, _) in bin_drawn_keys(source).items():
-        drawn = _axis_curve_figure(
-            binned_source, key, source.study.keys_shown, only_if_significant=True
-        )
-        if drawn is None:
-            insignificant.append(key)
-            continue
-        blocks.append(
-            drawn._replace(name=f"over_{key}", caption=f"{drawn.caption} {key}: {BINS_NOTE}")
-        )
+        note, keys = f" {key}: {BINS_NOTE}", source.study.keys_shown
+        drawn = [*_curves_along_axis(binned_source, f"over_{key}", key, keys, note)]
+        insignificant += [] if drawn else [key]
+        blocks += drawn
     if insignificant:
         blocks.append(f"No figure over {', '.join(insignificant)}: no effect beyond the intervals.")
     return blocks
@@ -85,95 +82,121 @@ def repeated_variants_note(source: Results) -> Iterator[str]:
         )
 
 
-def _heat_map_figures(source: Results, criterion: SuccessMeasure) -> Iterator[Block]:
+def _heat_maps(
+    source: Results, criterion: SuccessMeasure, axes: Sequence[str], by: Sequence[str]
+) -> Iterator[Picture]:
     """Yield the maps by one criterion of success, without those that show nothing.
 
-    They are over the first two swept numbers, a panel for each point of all other keys.
+    They are over the first two swept numbers, a panel for each point of all other keys. Cells are
+    hatched in which most of the runs that are ok are off their bias floor.
     """
-    (row_key, column_key), by = figure_axes(source.study)
-    columns = (criterion.settle_column, criterion.ok_column, *FLOOR_COLUMNS, "draw_id", "start_s")
-    times = [name for name in ("reset_times_s",) if "reset_count" in (row_key, column_key)]
-    table = source.rows([*by, row_key, column_key, *columns, *times])
+    settle, ok = criterion.settle_column, criterion.ok_column
+    times = [name for name in ("reset_times_s",) if "reset_count" in axes]
+    table = source.rows([*by, *axes, settle, ok, *FLOOR_COLUMNS, "draw_id", "start_s", *times])
     # A run that ends without success settles never, as in the verdict.
-    settle_s = pc.if_else(table[criterion.ok_column], table[criterion.settle_column], None)
-    place = table.column_names.index(criterion.settle_column)
-    table = table.set_column(place, table.field(place), settle_s)
-    _, panels = split_into_panels(table, row_key, column_key, by)
-    numbers = partial(analysis.numeric_column, table)
-    cells = [
-        one.cell_outcomes(
-            criterion.ok_column,
-            criterion.settle_column,
-            criterion.outside_floor_band(one.column_values),
-        )
-        for one in panels[:MAX_PANELS]
-    ]
-    if not any((np.isfinite(one.median_s) & ~one.not_converged).any() for one in cells):
+    settle_s = pc.if_else(table[ok], table[settle], None)
+    table = table.set_column(table.column_names.index(settle), settle, settle_s)
+    is_ok = analysis.numeric_column(table, ok) > 0
+    off_floor = criterion.outside_floor_band(lambda name: analysis.numeric_column(table, name))
+    table = table.append_column(_FLAG, pa.array(np.where(is_ok, off_floor, np.nan)))
+    grid = Grid.from_table(table, by, *((axis,) for axis in axes))
+    rows = grid.rows[:MAX_PANELS]
+    median_s = median_over_draws(np.nan_to_num(grid.column(settle), nan=np.inf)[:MAX_PANELS])
+    not_converged = 2 * off_floor[rows].sum(axis=-1) > is_ok[rows].sum(axis=-1)
+    if not (np.isfinite(median_s) & ~not_converged).any():
         return  # no cell is within the band, or cells only pass through it
-    off_floor = np.where(
-        numbers(criterion.ok_column) > 0, criterion.outside_floor_band(numbers), np.nan
-    )
     mark = (
         f" Cross-hatched: most of the runs that are ok end more than {criterion.band_arcmin:g}'"
         " from their bias floors, and their errors happen to be small."
-        if np.any([one.not_converged for one in cells])
+        if not_converged.any()
         else ""
     )
-    if len(panels) > MAX_PANELS:
-        mark += f" The first {MAX_PANELS} of {len(panels)} panels."
-    end = criterion.figure_suffix(source.success_measures[0])
-
-    def draw(name: str, caption: str, column: str) -> Picture:
-        """Draw a map; cells are hatched in which most runs are off their bias floor."""
+    if len(grid.rows) > MAX_PANELS:
+        mark += f" The first {MAX_PANELS} of {len(grid.rows)} panels."
+    captions = {
+        "settling_time": f"Median time over {format_count(source.draws, 'draw')} until the heading"
+        f" stays {criterion.description}; grey where at least half of the runs never do."
+    }
+    if not np.isin(is_ok[rows].mean(axis=-1), (0.0, 1.0)).all():  # else the times show the same
+        captions["success_rate"] = (
+            f"Share of {format_count(source.draws, 'draw')} ok, {criterion.plural_description}."
+        )
+    for name, caption in captions.items():
         figure = plots.plot_map(
-            table.append_column(_FLAG, pa.array(off_floor)),
-            row_key,
-            column_key,
-            column,
+            table,
+            axes[0],
+            axes[1],
+            settle if name == "settling_time" else ok,
             by=by,
             pooled=[key for key in by if is_condition_key(key)],
             hatched=_FLAG,
             hatch_name=_NOT_CONVERGED,
         )
-        return Picture(f"{name}{end}", f"{caption}{mark}", figure)
-
-    yield draw(
-        "settling_time",
-        f"Median time over {format_count(source.draws, 'draw')} until the heading stays"
-        f" {criterion.description}; grey where at least half of the runs never do.",
-        criterion.settle_column,
-    )
-    shares = np.array([one.success_share for one in cells])
-    if not np.isin(shares, (0.0, 1.0)).all():  # else the settling times show the same
-        yield draw(
-            "success_rate",
-            f"Share of {format_count(source.draws, 'draw')} ok, {criterion.plural_description}.",
-            criterion.ok_column,
-        )
+        end = criterion.figure_suffix(source.success_measures[0])
+        yield Picture(f"{name}{end}", f"{caption}{mark}", figure)
 
 
-def _axis_curve_figure(
-    source: Results, axis: str, line_keys: Sequence[str], *, only_if_significant: bool = False
-) -> Picture | None:
-    titles = {
-        f"{y.settle_column}_median": f"median time (s) to {y.description}"
-        for y in source.success_measures
-    }
-    titles |= {
-        y.rate_column: f"share of runs that are ok, {y.plural_description} (%)"
-        for y in source.success_measures
-    }
+def _curves_along_axis(
+    source: Results, name: str, axis: str, line_keys: Sequence[str], note: str = ""
+) -> Iterator[Picture]:
+    """Yield the curves along a key; along a drawn one, which has a note, only if it acts."""
+    measures = source.success_measures
+    titles = {f"{y.settle_column}_median": f"median time (s) to {y.description}" for y in measures}
+    for y in measures:
+        titles[y.rate_column] = f"share of runs that are ok, {y.plural_description} (%)"
     titles["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
     table = source.rows([*line_keys, axis, *success_columns(source.study), *REQUIRED_COLUMNS])
     values, panels = build_comparison_panels(table, axis, line_keys, titles)
-    if only_if_significant and not has_significant_effect(panels):
-        return None
-    left = "; ".join(words for words in titles.values() if words not in panels)
-    return Picture(
-        "along_axis",
+    if note and not has_significant_effect(panels):
+        return
+    text = (
         "How soon their heading enters the band for good, how many runs are ok, and how large the"
         f" heading error is. {describe_intervals(source, quantity='Estimate')}"
-        f"{describe_undrawn_lines(table, line_keys)}"
-        + (f" Left out, since it shows nothing more: {left}." if left else ""),
-        plots.draw_along_axis(axis, values, panels, condition=not is_method_setting(axis)),
     )
+    lines = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys))
+    if lines > MAX_LINES:
+        text += f" {lines - MAX_LINES} more lines are not drawn."
+    if left := "; ".join(words for words in titles.values() if words not in panels):
+        text += f" Left out, since it shows nothing more: {left}."
+    figure = plots.draw_along_axis(axis, values, panels, condition=not is_method_setting(axis))
+    yield Picture(name, text + note, figure)
+
+
+def bin_drawn_keys(source: Results) -> dict[str, tuple[Results, tuple[float, ...]]]:
+    """Return the runs of each drawn number of a study in bins of about as many draws.
+
+    Returns:
+        By key: the runs with the median of their bin as the value of the key, draws in that order
+        and only the columns that statistics need; and these medians, ascending. No key of which
+        there are too few draws for two bins.
+    """
+    study, found = source.study, {}
+    count = min(_MAX_BINS, source.draws // _MIN_DRAWS_PER_BIN)
+    columns = ["run_id", "variant_id", *study.keys_shown, *REQUIRED_COLUMNS]
+    columns += success_columns(study)
+    for key in study.drawn_keys if count > 1 else ():
+        if NUMBERS_DRAWN[key] > 1:
+            continue
+        table = source.rows([key, *columns])
+        medians = bin_medians(analysis.numeric_column(table, key), count)
+        table = table.set_column(table.column_names.index(key), key, pa.array(medians))
+        table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
+        bins = tuple(map(float, np.unique(medians)))
+        if len(bins) > 1:
+            found[key] = source.with_summary(table), bins
+    return found
+
+
+def bin_medians(values: NDArray, n_bins: int) -> NDArray:
+    """Return the median of the bin of each value; few distinct values are bins of their own.
+
+    Args:
+        values: (n,) finite ones.
+        n_bins: number of bins, of about as many values each.
+    """
+    if len(np.unique(values)) <= n_bins:
+        return values
+    edges = np.quantile(values, np.arange(1, n_bins) / n_bins)
+    number = np.searchsorted(edges, values, side="right")
+    medians = np.array([np.median(values[number == n]) for n in range(n_bins)])
+    return np.array([float(f"{median:.{_DIGITS}g}") for median in medians])[number]

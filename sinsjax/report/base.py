@@ -15,6 +15,13 @@ from sinsjax.plots.labels import format_value
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 
+NO_INTERVAL = (
+    "No intervals: the runs are on one record. They share its sensor biases, and most of its"
+    " samples where their spans overlap, so their spread does not show how far another record"
+    " would differ."
+)
+"""Note for results of runs on a record."""
+
 MAX_ROWS = 20
 """Rows of a table; the note counts the rows left out."""
 
@@ -41,21 +48,21 @@ class Table(NamedTuple):
 def build_table(
     title: str,
     keys: Sequence[str],
-    rows: Sequence[Mapping[str, Any]],
+    groups: Sequence[tuple[Mapping[str, Any], Any]],
     cells: Sequence[tuple[str, Callable[[Any], str]]],
     note: str = "",
     *,
     max_rows: int = MAX_ROWS,
 ) -> Table:
-    """Return a table with one line per row: the values of its keys, then its formatted cells.
+    """Return a table with one line per group: the values of its keys, then its formatted cells.
 
-    If there are more than ``max_rows`` rows, the note ends with the number of the others.
+    If there are more than ``max_rows`` groups, the note ends with the number of the others.
     """
     lines = [
-        [*(format_value(row[key]) for key in keys), *(format_cell(row) for _, format_cell in cells)]
-        for row in rows[:max_rows]
+        [*(format_value(key[name]) for name in keys), *(format_cell(x) for _, format_cell in cells)]
+        for key, x in groups[:max_rows]
     ]
-    if hidden := len(rows) - len(lines):
+    if hidden := len(groups) - len(lines):
         note = f"{note} {hidden} more rows are not shown.".lstrip()
     return Table(title, [*keys, *(header for header, _ in cells)], lines, note)
 
@@ -92,6 +99,11 @@ class Fact(NamedTuple):
     is_caution: bool = False
 
 
+def caution(text: str, label: str = "Caution") -> Fact:
+    """Return a line of a verdict that warns."""
+    return Fact(label, text, True)
+
+
 class Report(NamedTuple):
     """The report on one directory of results.
 
@@ -100,52 +112,27 @@ class Report(NamedTuple):
         facts: the answer, then its basis, then doubts.
         table: the answer per condition, if there are several.
         blocks: all the rest, in the order in which it is read.
-        data_footer: footer of the figures, if they rest on other runs than those of the source.
+        footer: footer of the figures: the runs that they rest on.
+        definition: definition of success.
+        origin: the study's file and the version that computed it.
     """
 
     title: str
     facts: Sequence[Fact]
     table: Table | None = None
     blocks: Sequence[Block] = ()
-    data_footer: str = ""
+    footer: str = ""
+    definition: str = ""
+    origin: str = ""
 
     @property
     def pictures(self) -> list[Picture]:
         """The figures of the report."""
         return [block for block in self.blocks if isinstance(block, Picture)]
 
-
-class DrawnReport(NamedTuple):
-    """A report with its figures drawn.
-
-    Attributes:
-        source: the results.
-        report: their report.
-        images: PNG files by the name of the figure.
-    """
-
-    source: Results
-    report: Report
-    images: Mapping[str, bytes]
-
-    @classmethod
-    def from_report(cls, source: Results, report: Report) -> "DrawnReport":
-        """Draw the figures of a report."""
-        footer = report.data_footer or source.sample_size_text
-        images = {
-            picture.name: plots.render_png(picture.figure, footer) for picture in report.pictures
-        }
-        return cls(source, report, images)
-
-    @property
-    def definition(self) -> str:
-        """Definition of success."""
-        return describe_success_criterion(self.source.study)
-
-    @property
-    def origin(self) -> str:
-        """The study's file and the version that computed it."""
-        return f"{self.source.config}; computed by sinsjax {self.source.version}"
+    def draw(self) -> dict[str, bytes]:
+        """Return the figures as PNG files, by their names."""
+        return {one.name: plots.render_png(one.figure, self.footer) for one in self.pictures}
 
 
 def describe_success_criterion(study: Study) -> str:
@@ -173,7 +160,7 @@ def describe_intervals(
 ) -> str:
     """Describe the brackets of a table, or why there are none."""
     if source.study.is_recorded:
-        return analysis.NO_INTERVAL
+        return NO_INTERVAL
     note = f"{quantity} [95 % interval over the {sampled_units}]."
     if source.draws >= MIN_DRAWS_FOR_INTERVALS:
         return note

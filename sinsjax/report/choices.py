@@ -4,7 +4,7 @@ An axis with a starting error, a motion, a sensor or a site is a condition. Any 
 a reset schedule, a filter key or the method, is a choice. Options are compared over all conditions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis.formats import format_degrees
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
@@ -30,50 +29,89 @@ class Choices:
     Attributes:
         study: the study.
         variants: (options, conditions) number of the variant; copies of others are left out.
-        dimensions: per axis, whether it is a condition, and the keys that identify its points.
+        option_axes: keys that identify the points of each axis that is a choice.
+        condition_axes: keys of each other axis.
     """
 
     study: Study
     variants: NDArray
-    dimensions: tuple[tuple[bool, tuple[str, ...]], ...]
+    option_axes: list[tuple[str, ...]]
+    condition_axes: list[tuple[str, ...]]
 
     @classmethod
     def from_study(cls, study: Study) -> "Choices":
         """Sort the axes of a study into choices and conditions."""
-        conditions = [_is_condition(dimension) for dimension in study.dimensions]
-        dimensions = tuple(zip(conditions, study.axes_shown, strict=True))
-        sizes = [len(next(iter(dimension.values()))) for dimension in study.dimensions]
-        place = np.arange(study.n_variants).reshape(sizes)
-        chosen = [axis for axis, given in enumerate(conditions) if not given]
-        place = np.moveaxis(place, chosen, range(len(chosen)))
-        options = int(np.prod([sizes[axis] for axis in chosen], dtype=int))
-        variants = place.reshape(options, -1)
+        chosen = [
+            place
+            for place, axis in enumerate(study.dimensions)
+            if not any(is_condition_key(key) or key == "start_s" for key in axis)
+        ]
+        keys = list(study.axes_shown)
+        sizes = [len(next(iter(axis.values()))) for axis in study.dimensions]
+        variants = np.moveaxis(
+            np.arange(study.n_variants).reshape(sizes), chosen, range(len(chosen))
+        ).reshape(int(np.prod([sizes[axis] for axis in chosen], dtype=int)), -1)
         first = study.duplicate_of[variants] == variants
-        return cls(study, variants[first.any(axis=1)][:, first.any(axis=0)], dimensions)
+        variants = variants[first.any(axis=1)][:, first.any(axis=0)]
+        option_axes = [keys[axis] for axis in chosen]
+        return cls(study, variants, option_axes, [axis for axis in keys if axis not in option_axes])
 
-    def arrange_runs(self, column: NDArray) -> NDArray:
-        """Lay out a column of the summary, ordered by run_id, as (options, conditions, draws)."""
-        return column.reshape(-1, self.study.n_variants).T[self.variants]
+    def runs(self, draws: int) -> NDArray:
+        """The numbers of the runs, (options, conditions, draws)."""
+        return self.variants[..., None] + self.study.n_variants * np.arange(draws)
+
+    @property
+    def _has_schedules(self) -> list[bool]:
+        """Whether each axis that is a choice is a reset schedule."""
+        return [{*keys} <= {*SCHEDULE_KEYS} for keys in self.option_axes]
+
+    @property
+    def option_noun(self) -> str:
+        """Kind of the options: schedule, method or option."""
+        if all(self._has_schedules):
+            return "schedule"
+        return "method" if self.option_axes == [("method",)] else "option"
+
+    @cached_property
+    def _reset_times(self) -> list[tuple[float, ...]]:
+        return self.study.reset_times()
+
+    def with_resets(self, count: int) -> list[int]:
+        """The options with a number of scheduled resets; none if no axis is a schedule."""
+        if not any(self._has_schedules):
+            return []
+        counts = [len(self._reset_times[variant]) for variant in self.variants[:, 0]]
+        return [option for option, number in enumerate(counts) if number == count]
+
+    def rival_options(self, best: int) -> list[list[int]]:
+        """The options of each kind that the best is compared with.
+
+        With schedules: the options with a single reset and those without; else all other options.
+        """
+        kinds = [kind for kind in map(self.with_resets, (1, 0)) if kind and best not in kind]
+        return kinds or [[option for option in range(len(self.variants)) if option != best]]
 
     @cached_property
     def options(self) -> list[str]:
-        """Description of each option."""
-        return [self._describe_option(int(variant)) for variant in self.variants[:, 0]]
+        """Each option in words."""
+        return [self._describe_option(variant) for variant in self.variants[:, 0].tolist()]
 
-    @cached_property
-    def reset_counts(self) -> list[int | None]:
-        """The number of scheduled resets of each option; None if no axis is a schedule."""
-        if not any({*keys} <= {*SCHEDULE_KEYS} for keys in self._option_axes):
-            return [None] * len(self.variants)
-        return [len(self._reset_schedules[row[0]]) for row in self.variants]
-
-    @property
-    def _option_axes(self) -> list[tuple[str, ...]]:
-        return [keys for is_condition, keys in self.dimensions if not is_condition]
-
-    @cached_property
-    def _reset_schedules(self) -> list[tuple[float, ...]]:
-        return self.study.reset_times()
+    def _describe_option(self, variant: int) -> str:
+        words: list[str] = []
+        for keys, is_schedule in zip(self.option_axes, self._has_schedules, strict=True):
+            for key in keys:
+                value = self.study.values(key)[variant]
+                if key not in SCHEDULE_KEYS:
+                    plain = key == "method"
+                    words.append(format_value(value) if plain else describe_point({key: value}))
+                elif self._reset_times[variant] or is_schedule:
+                    words.append(describe_schedule(self._reset_times[variant]))
+        text, *more = dict.fromkeys(words) or [""]
+        for place, word in enumerate(more):
+            if len(text) + len(word) > _MAX_OPTION_LENGTH:
+                return f"{text} + {format_count(len(more) - place, 'key')}"
+            text += f", {word}"
+        return text
 
     def conditions_by_point(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
         """The conditions at each point of an axis, by the values of its keys."""
@@ -87,67 +125,10 @@ class Choices:
         """The condition axis along which some values (conditions,) vary most; None without one."""
         ranges: dict[tuple[str, ...], float] = {}
         for keys in self.condition_axes:
-            means = [
-                float(np.mean(values[conditions]))
-                for conditions in self.conditions_by_point(keys).values()
-            ]
-            if len(means) > 1:
-                ranges[keys] = max(means) - min(means)
+            points = self.conditions_by_point(keys).values()
+            if len(points) > 1:
+                ranges[keys] = np.ptp([np.mean(values[conditions]) for conditions in points])
         return max(ranges, key=ranges.__getitem__) if ranges else None
-
-    @property
-    def option_noun(self) -> str:
-        """Kind of the options: schedule, method or option."""
-        if all({*keys} <= {*SCHEDULE_KEYS} for keys in self._option_axes):
-            return "schedule"
-        return "method" if self._option_axes == [("method",)] else "option"
-
-    @property
-    def options_without_reset(self) -> list[int]:
-        """The options without a scheduled reset, if an axis is a schedule."""
-        return [place for place, count in enumerate(self.reset_counts) if count == 0]
-
-    def rival_options(self, best: int) -> list[list[int]]:
-        """The options of each kind that the best is compared with.
-
-        With schedules: the options with a single reset and those without; else all other options.
-        """
-        counts = self.reset_counts
-        kinds = [[i for i, count in enumerate(counts) if count == number] for number in (1, 0)]
-        kinds = [kind for kind in kinds if kind and best not in kind]
-        return kinds or [[i for i in range(len(counts)) if i != best]]
-
-    @property
-    def condition_axes(self) -> list[tuple[str, ...]]:
-        """The axes that are conditions, by the keys that identify their points."""
-        return [keys for is_condition, keys in self.dimensions if is_condition]
-
-    def _describe_option(self, variant: int) -> str:
-        """The option of a variant in words."""
-        words: list[str] = []
-        for keys in self._option_axes:
-            for key in keys:
-                if key in SCHEDULE_KEYS:
-                    times = self._reset_schedules[variant]
-                    words += (
-                        [describe_schedule(times)] if times or {*keys} <= {*SCHEDULE_KEYS} else []
-                    )
-                else:
-                    value = self.study.values(key)[variant]
-                    words.append(
-                        format_value(value) if key == "method" else describe_point({key: value})
-                    )
-        first, *more = dict.fromkeys(words) or [""]
-        text = first
-        for place, word in enumerate(more):
-            if len(text) + len(word) > _MAX_OPTION_LENGTH:
-                return f"{text} + {format_count(len(more) - place, 'key')}"
-            text += f", {word}"
-        return text
-
-
-def _is_condition(axis: Mapping[str, Sequence[Any]]) -> bool:
-    return any(is_condition_key(key) or key == "start_s" for key in axis)
 
 
 def condition_name_and_unit(key: str) -> tuple[str, str]:
@@ -159,11 +140,12 @@ def condition_name_and_unit(key: str) -> tuple[str, str]:
 def condition_header(keys: Sequence[str]) -> str:
     """The header of a column with the points of a condition."""
     angles = [key for key in keys if key in _ANGLES]
-    if len(angles) < 2:
-        return ", ".join(condition_name_and_unit(key)[0] for key in keys)
-    others = [condition_name_and_unit(key)[0] for key in keys if key not in angles]
-    axes = ", ".join(_ANGLES[key] for key in angles)
-    return ", ".join([f"errors {axes}", *others])
+    names = [
+        condition_name_and_unit(key)[0] for key in keys if len(angles) < 2 or key not in angles
+    ]
+    if len(angles) > 1:
+        names.insert(0, f"errors {', '.join(_ANGLES[key] for key in angles)}")
+    return ", ".join(names)
 
 
 def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
@@ -172,20 +154,8 @@ def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
     angles = [key for key in keys if key in _ANGLES]
     cells = []
     if len(angles) > 1:
-        cells.append(format_degrees(*(values.pop(key) for key in angles)))
+        cells.append(f"({', '.join(f'{values.pop(key):g}' for key in angles)}) deg")
     for key, value in values.items():
         text, unit = format_value(value), condition_name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)
-
-
-def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
-    """Return the option with the fewest runs that never settle; of equals, the fastest on average.
-
-    Args:
-        time_s: (options, conditions, draws) settling times, infinite for never.
-        unsettled_time_s: time that such a run counts in the average, s.
-    """
-    never = np.isinf(time_s).sum(axis=(1, 2))
-    mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
-    return int(np.lexsort((mean, never))[0])

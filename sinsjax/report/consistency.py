@@ -1,10 +1,9 @@
 """Consistency of a method's covariance: its error in units of its own sigma, over the runs."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sinsjax import analysis, plots
 from sinsjax.columns import FAILED
@@ -12,14 +11,10 @@ from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS, PACKAGES
+from sinsjax.plots.comparison import MAX_LINES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
-from sinsjax.report.base import Fact, Picture
-from sinsjax.report.grouping import choose_line_keys
+from sinsjax.report.base import Fact, Picture, caution
 from sinsjax.study.schema import BIAS_KEYS
-from sinsjax.units import ARCMIN, MICRO
-
-_YAW, _FREEDOM = "phi_u_arcmin", analysis.NEES_FREEDOM
-_FAR = 2.0  # times the upper end of its band: a mean NEES beyond it is explained
 
 
 def consistency_blocks(source: Results) -> Iterator[Picture | str]:
@@ -27,7 +22,7 @@ def consistency_blocks(source: Results) -> Iterator[Picture | str]:
 
     One line per variant; of many variants, one line per value of the first key that has few.
     """
-    keys, note = choose_line_keys(source)
+    keys, note = _choose_line_keys(source)
     table = source.distinct_rows(
         (*keys, *NEES_COLUMNS, *SHARE_COLUMNS.values(), "draw_id", "start_s")
     )
@@ -37,8 +32,29 @@ def consistency_blocks(source: Results) -> Iterator[Picture | str]:
     yield from explanation
     from_floor = bool(explanation)
     if np.isfinite(analysis.numeric_column(table, NEES_COLUMNS[from_floor])).any():
-        figure = plots.plot_belief(table, by=keys, from_floor=from_floor)
-        yield consistency_picture(figure, note, from_floor=from_floor)
+        error = "heading error from the bias floor" if from_floor else "attitude error"
+        yield Picture(
+            "consistency",
+            f"Left: NEES, the squared {error} at the end in units of the filter's own covariance;"
+            " a consistent filter follows the dashed line, an overconfident one lies right of it."
+            " Right: mean share of records, with its 95 % interval, in which the filter's heading"
+            " variance exceeds the squared heading error; a consistent filter has 68 % (dashed), a"
+            f" too cautious one more.{note}",
+            plots.plot_belief(table, by=keys, from_floor=from_floor),
+        )
+
+
+def _choose_line_keys(source: Results) -> tuple[Sequence[str], str]:
+    """Return the keys that identify a few lines, and a note for the caption.
+
+    These are all keys if there are few variants, else the first key with few values, or none.
+    """
+    if source.study.n_variants <= MAX_LINES:
+        return source.study.keys_shown, ""
+    for keys, values in source.study.axes_shown.items():
+        if len(values) <= MAX_LINES:
+            return keys, f" All runs of the same {' and '.join(keys)} make one line."
+    return (), " All runs together."
 
 
 def _explain_unmodelled_biases(source: Results) -> list[str]:
@@ -51,34 +67,22 @@ def _explain_unmodelled_biases(source: Results) -> list[str]:
     gyro, accel = (source.largest_magnitude(key) for key in BIAS_KEYS)
     if not gyro and not accel:
         return []
-    names = [*(f"sigma_{axis}_arcmin" for axis in "enu"), "floor_arcmin", _YAW, "nees"]
+    names = ("floor_arcmin", "phi_u_arcmin", "sigma_u_arcmin")
     rows = source.distinct_rows(names)
-    *sigmas, floor, yaw, nees = (analysis.numeric_column(rows, name) for name in names)
-    east, north, up = np.nanmedian(sigmas, axis=1)
+    floor, error = (analysis.rms(analysis.numeric_column(rows, name)).value for name in names[:2])
+    sigma = float(np.nanmedian(analysis.numeric_column(rows, names[2])))
     text = (
-        f"A NEES of {_FREEDOM} cannot be expected here: it includes the whole error, and the"
-        f" sensors have constant biases (gyros up to {gyro:g} deg/h, accelerometers up to"
-        f" {accel:g} ug) for which this filter has no states, so P excludes the bias floor."
+        f"A NEES of {analysis.NEES_FREEDOM} cannot be expected here: the sensors have constant"
+        f" biases (gyros up to {gyro:g} deg/h, accelerometers up to {accel:g} ug) for which this"
+        " filter has no states, so P excludes the bias floor."
     )
-    if accel:
+    if floor > sigma:
         text += (
-            f" The accelerometer biases alone tilt the level by up to {accel * MICRO / ARCMIN:.2f}"
-            f" arcmin, while the filter's own 1 sigma is {east:.2f} arcmin about east and"
-            f" {north:.2f} about north (medians over the runs)."
+            f" Add it ({floor:.1f} arcmin, rms over the runs) and the filter's 1 sigma of the"
+            f" heading ({sigma:.1f} arcmin, median) in quadrature: {math.hypot(floor, sigma):.1f}"
+            f" arcmin. The heading errors found are {error:.1f} arcmin rms."
         )
-    sentences = [text]
-    mean, most = analysis.mean(nees).value, analysis.chi2_mean_band(_FREEDOM, source.draws)[1]
-    floor_rms, error_rms = (analysis.rms(errors_arcmin).value for errors_arcmin in (floor, yaw))
-    if mean > _FAR * most and floor_rms > up:
-        sentences.append(
-            f"The mean NEES is {f'{mean:.3g}' if mean < 1000 else f'{mean:,.0f}'}, far above the"
-            f" band of a consistent filter, which ends at {most:.2g}: P does not contain the"
-            " turn-on biases, and its 1 sigma alone is not the error to expect. Add the bias floor"
-            f" ({floor_rms:.1f} arcmin, rms over the runs) and the filter's 1 sigma of the heading"
-            f" ({up:.1f} arcmin, median) in quadrature: {math.hypot(floor_rms, up):.1f} arcmin."
-            f" The heading errors found are {error_rms:.1f} arcmin rms."
-        )
-    return sentences
+    return [text]
 
 
 def covariance_cautions(source: Results) -> Iterator[Fact]:
@@ -87,7 +91,8 @@ def covariance_cautions(source: Results) -> Iterator[Fact]:
     Sigmas are null if a variance is negative or not finite. Runs that failed are left out.
     """
     plugins = [name for name in source.study.methods if name in PACKAGES]
-    if not any(METHODS[name].has_covariance for name in plugins):
+    plugins = [name for name in plugins if METHODS[name].has_covariance]
+    if not plugins:
         return
     axes = [f"sigma_{axis}_arcmin" for axis in "enu"]
     rows = source.rows(["variant_id", "status", "nees", *axes])
@@ -97,21 +102,6 @@ def covariance_cautions(source: Results) -> Iterator[Fact]:
     for name in plugins:
         known = np.isfinite(sigmas if METHODS[name].finds_heading else sigmas[:2]).all(axis=0)
         runs = (method_of_run == name) & ~failed
-        bad = int(np.sum(runs & (~known | (nees < 0))))
-        if bad and METHODS[name].has_covariance:
+        if bad := int(np.sum(runs & (~known | (nees < 0)))):
             text = f"the covariance of {name} is negative or not finite at the end of {bad:,} of"
-            yield Fact("Caution", f"{text} {format_count(int(runs.sum()), 'run')}", True)
-
-
-def consistency_picture(figure: Figure, note: str = "", *, from_floor: bool = False) -> Picture:
-    """Return the figure of the filters' consistency, with its caption."""
-    error = "heading error from the bias floor" if from_floor else "attitude error"
-    return Picture(
-        "consistency",
-        f"Left: NEES, the squared {error} at the end in units of the filter's own covariance;"
-        " a consistent filter follows the dashed line, an overconfident one lies right of it."
-        " Right: mean share of records, with its 95 % interval, in which the filter's heading"
-        " variance exceeds the squared heading error; a consistent filter has 68 % (dashed), a too"
-        f" cautious one more.{note}",
-        figure,
-    )
+            yield caution(f"{text} {format_count(int(runs.sum()), 'run')}")

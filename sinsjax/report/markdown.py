@@ -8,7 +8,7 @@ from html import escape
 from markdown_it import MarkdownIt
 
 from sinsjax.messages import escape_controls
-from sinsjax.report.base import Block, DrawnReport, Table
+from sinsjax.report.base import Block, Report, Table
 
 _MARKUP = re.compile(r"[\\`*_\[\]<>#|~$&!]|^[-+=]|(?<=\d)[.)](?= )")
 """What Markdown may interpret: marks anywhere, bullets, and the stop of a numbered item."""
@@ -44,10 +44,10 @@ _TERMS = {
 }
 
 
-def to_html(title: str, reports: Sequence[DrawnReport]) -> str:
-    """Return a self-contained HTML page of some reports."""
+def to_html(title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> str:
+    """Return a self-contained HTML page of some reports, with their PNG files by name."""
     parser = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = parser.render(to_markdown(title, reports))
+    body = parser.render("\n\n".join(_page_lines(title, reports)) + "\n")
     name = escape(escape_controls(title))
     return (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{name}</title>'
@@ -56,26 +56,20 @@ def to_html(title: str, reports: Sequence[DrawnReport]) -> str:
     )
 
 
-def to_markdown(title: str, reports: Sequence[DrawnReport]) -> str:
-    """Return some reports as one page of Markdown, with their figures as data addresses."""
-    lines = [f"# {escape_markdown(title)}"]
-    lines += dict.fromkeys(escape_markdown(drawn.definition) for drawn in reports)
-    for _, report, images in reports:
-        lines.append(f"## {escape_markdown(report.title)}")
-        lines.append(
-            "\n".join(
-                f"- **{escape_markdown(fact.label)}:** {escape_markdown(fact.text)}."
-                for fact in report.facts
-            )
-        )
+def _page_lines(title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> Iterator[str]:
+    """The paragraphs of a page in Markdown, with figures as data addresses."""
+    mark = escape_markdown
+    yield f"# {mark(title)}"
+    yield from dict.fromkeys(mark(report.definition) for report, _ in reports)
+    for report, images in reports:
+        yield f"## {mark(report.title)}"
+        facts = [f"- **{mark(label)}:** {mark(text)}." for label, text, _ in report.facts]
+        yield "\n".join(facts)
         for block in (*([report.table] if report.table else ()), *report.blocks):
-            lines += _block_lines(block, images)
-    lines.append("## Terms")
-    lines.append(
-        "\n".join(f"- *{escape_markdown(k)}*: {escape_markdown(v)}." for k, v in _TERMS.items())
-    )
-    lines.append("; ".join(dict.fromkeys(escape_markdown(drawn.origin) for drawn in reports)))
-    return "\n\n".join(lines) + "\n"
+            yield from _block_lines(block, images)
+    yield "## Terms"
+    yield "\n".join(f"- *{mark(term)}*: {mark(text)}." for term, text in _TERMS.items())
+    yield "; ".join(dict.fromkeys(mark(report.origin) for report, _ in reports))
 
 
 def _block_lines(block: Block, images: Mapping[str, bytes]) -> Iterator[str]:

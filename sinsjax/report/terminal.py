@@ -11,12 +11,12 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.padding import Padding
-from rich.table import Table as Grid
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from sinsjax import console as screen
 from sinsjax.messages import escape_controls
-from sinsjax.report.base import Fact, Report, Table
+from sinsjax.report.base import Report, Table
 
 PIPE_WIDTH = 120
 """Columns of a table in a pipe, unless ``COLUMNS`` is set."""
@@ -41,8 +41,10 @@ def print_verdict(
             eight rows evenly over the conditions.
     """
     console.print(screen.literal_text(report.title, "bold"))
-    facts = list(report.facts) if full else _select_facts(report.facts)
-    grid = Grid.grid(padding=(0, 2, 0, 0))
+    answers = [fact for fact in report.facts if not fact.is_caution]
+    first = answers if full else answers[:_MAX_FACTS]
+    facts = [fact for fact in report.facts if fact.is_caution or fact in first]
+    grid = RichTable.grid(padding=(0, 2, 0, 0))
     for number, fact in enumerate(facts):
         style = "yellow" if fact.is_caution else "bold" if number == 0 else ""
         grid.add_row(
@@ -54,8 +56,10 @@ def print_verdict(
     console.print(Padding(grid, (0, 0, 0, 2)))
     if table := report.table:
         console.print()
-        shown = table if full else table._replace(rows=_spread_evenly(table.rows, _MAX_ROWS))
-        console.print(Padding(_layout_table(shown.header, shown.rows, None), (0, 0, 0, 2)))
+        rows, last = table.rows, len(table.rows) - 1
+        if not full and last >= _MAX_ROWS:  # evenly over all of them
+            rows = [rows[round(n * last / (_MAX_ROWS - 1))] for n in range(_MAX_ROWS)]
+        console.print(Padding(_layout_table(table.header, rows, None), (0, 0, 0, 2)))
     for line in footer:
         screen.print_line(console, line, style="dim", wrap=True)
 
@@ -81,25 +85,11 @@ def print_table(table: Table, console: Console) -> None:
     console.print()
 
 
-def _select_facts(facts: Sequence[Fact]) -> list[Fact]:
-    """The first facts, and all doubts."""
-    answers = [fact for fact in facts if not fact.is_caution][:_MAX_FACTS]
-    return [fact for fact in facts if fact.is_caution or fact in answers]
-
-
-def _spread_evenly(rows: Sequence[Sequence[str]], count: int) -> list[Sequence[str]]:
-    """At most so many rows, evenly over all of them."""
-    last = len(rows) - 1
-    if last < count:
-        return list(rows)
-    return [rows[round(n * last / (count - 1))] for n in range(count)]
-
-
 def _layout_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], frame: box.Box | None
-) -> Grid:
+) -> RichTable:
     """A table of literal text; rich wraps its columns, but no column of intervals."""
-    table = Grid(box=frame, pad_edge=False, padding=(0, 2, 0, 0) if frame is None else (0, 1))
+    table = RichTable(box=frame, pad_edge=False, padding=(0, 2, 0, 0) if frame is None else (0, 1))
     if frame is None:
         table.header_style = "dim"
     for name, *cells in zip(header, *rows, strict=True):

@@ -1,22 +1,14 @@
-"""The figures of a tuning: descents over the evaluated points, and best objective against cost."""
+"""The figure of a tuning: descents over the evaluated points."""
 
 import numpy as np
 
 from sinsjax import plots
-from sinsjax.plots.descents import (
-    CostCurve,
-    DescentPath,
-    MarkedPoint,
-    ObjectiveLandscape,
-    VariableAxis,
-    draw_best_by_cost,
-    draw_descents,
-)
+from sinsjax.plots.descents import Points, VariableAxis, draw_descents
 from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
-from sinsjax.tuning.results import MARKER_ORDER, SEARCH_LABELS, Tuning, objective_label
+from sinsjax.tuning.results import SEARCH_LABELS, Tuning, objective_label
 from sinsjax.tuning.run_tuning import LAW
 
 
@@ -33,20 +25,21 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     points = tuning.tune.grid_points
     if name == "grid":  # without the law's schedule, which is not on the grid
         evaluations = evaluations[-(points ** len(used)) :]
-    seen = ObjectiveLandscape(
-        [_variable_axis(space.variables[i]) for i in used],
+    variables = [_variable_axis(space.variables[i]) for i in used]
+    seen = Points(
+        objective_label(tuning.search_study),
         np.array([e.values for e in evaluations])[:, used],
         np.array([e.objective for e in evaluations]),
-        (points,) * len(used) if name == "grid" else None,
-        objective_label(tuning.search_study),
     )
-    ways = [DescentPath(values[:, used], found) for values, found in tuning.descents(number)]
+    ways = [
+        Points("descents, from the open circles", values[:, used], found)
+        for values, found in tuning.descents(number)
+    ]
     spots = _best_points(tuning, number, used)
     for other in (name for name in (LAW, "baseline") if name in tuning.case_numbers):
         case = tuning.study.cases[tuning.case_numbers[other]]
         if (values := space.locate(case, combination)) is not None:
-            style = MARKER_ORDER.index(other)
-            spots.insert(0, MarkedPoint(SEARCH_LABELS[other], np.array(values), None, style))
+            spots.append(Points(SEARCH_LABELS[other], np.array([values]), np.array([np.nan])))
     chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
     caption = f"Points of the search {name!r}, coloured by their objective on the tuning draws"
     if len(used) == 1:
@@ -54,12 +47,16 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     caption += "; lines: the descents, of the relaxed objective" if ways else ""
     if len(space.combinations) > 1:
         caption += f". All with {chosen}, the values of the best candidate"
-    best = tuning.searches[tuning.best].best
-    point = zip(
-        (_variable_axis(space.variables[i]) for i in used), np.array(best.values)[used], strict=True
+    best = np.array(tuning.searches[tuning.best].best.values)[used]
+    words = ", ".join(map(_format_value, variables, best))
+    figure = draw_descents(
+        variables,
+        seen,
+        ways,
+        spots,
+        f"Best: {words}",
+        grid_points=points if name == "grid" else None,
     )
-    words = ", ".join(_format_value(side, value) for side, value in point)
-    figure = draw_descents(seen, ways, spots, f"Best: {words}")
     return [Picture("descent", f"{caption}.", figure)]
 
 
@@ -69,47 +66,23 @@ def _variable_axis(variable: Variable) -> VariableAxis:
         name = f"reset {variable.entry + 1} at"
     elif variable.entry is not None:
         name = f"{name}, number {variable.entry + 1}"
-    return VariableAxis(f"{name}{bracket}{unit}", variable.low, variable.high, variable.log)
+    return VariableAxis(f"{name}{bracket}{unit}", variable.log)
 
 
-def _format_value(side: VariableAxis, value: float) -> str:
+def _format_value(variable: VariableAxis, value: float) -> str:
     """A value of a variable in words: ``reset 1 at 3.31 s``."""
-    name, _, unit = side.name.partition(" (")
+    name, _, unit = variable.name.partition(" (")
     return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
 
 
-def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[MarkedPoint]:
+def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[Points]:
     """The best point of each search that has the combination."""
-    named = ((name, result.best) for name, result in tuning.searches.items())
     return [
-        MarkedPoint(
-            f"best of {SEARCH_LABELS[n]}",
-            np.array(best.values)[variables],
-            best.objective,
-            MARKER_ORDER.index(n),
+        Points(
+            f"best of {SEARCH_LABELS[name]}",
+            np.array([result.best.values])[:, variables],
+            np.array([result.best.objective]),
         )
-        for n, best in named
-        if best.candidate == candidate
-    ]
-
-
-def cost_pictures(tuning: Tuning) -> list[Picture]:
-    """Return the best objective of each search against its cost."""
-    if len(tuning.searches) < 2:
-        return []
-    searches = []
-    for name, result in tuning.searches.items():
-        cost, best, relaxed = result.best_by_cost
-        ending = (result.cost, result.best.objective) if relaxed else None
-        searches.append(CostCurve(SEARCH_LABELS[name], cost, best, relaxed, ending))
-    caption = "Best objective on the tuning draws against cost (steps of simulation)"
-    if any(search.relaxed for search in searches):
-        caption += "; dashed: the best of all descents at each step, relaxed, on its draws"
-    title = f"The best point is of the search: {SEARCH_LABELS[tuning.best]}"
-    return [
-        Picture(
-            "history",
-            f"{caption}.",
-            draw_best_by_cost(searches, objective_label(tuning.search_study), title),
-        )
+        for name, result in tuning.searches.items()
+        if result.best.candidate == candidate
     ]

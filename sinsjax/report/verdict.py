@@ -7,7 +7,6 @@ draws; its numbers are those of its own runs, as anybody computes them from the 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
-from sinsjax.analysis.grids import held_out_choices
+from sinsjax.analysis.grids import Grid, held_out_choices
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
 from sinsjax.execution import stopping
@@ -23,10 +22,9 @@ from sinsjax.execution.checks import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit.method import REFITS
-from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table
+from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table, caution
 from sinsjax.report.choices import (
     Choices,
-    best_option,
     condition_header,
     condition_name_and_unit,
     format_condition,
@@ -59,14 +57,17 @@ _FIT_DOUBTS = {
 """Columns of a fit: above which value they are a doubt, and the doubt."""
 
 
-def sweep_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
+def sweep_verdict(
+    source: Results, outcome: "SweepOutcome | None" = None, *, warnings_shown: bool = False
+) -> Report:
     """Return the verdict on a simulated study, or on a recorded one with a reference.
 
     Args:
         source: the results; some run has a truth.
+        outcome: of the results, if it is known.
         warnings_shown: whether the user has seen the study's warnings.
     """
-    outcome = SweepOutcome.from_source(source)
+    outcome = outcome or SweepOutcome.from_source(source)
     first, doubts = split_warnings(source, warnings_shown=warnings_shown)
     doubts += [*caution_facts(outcome), *fit_cautions(source, _RARE)]
     facts = [*first, *answer_facts(outcome), *doubts]
@@ -81,45 +82,35 @@ class SweepOutcome:
         source: the results.
         choices: the variants by option and condition.
         criterion: criterion of success.
-        time_s: (options, conditions, draws) settling times of successes, infinite for others, s.
-        error: (options, conditions, draws) final heading error from the truth, arcmin.
-        floor: (options, conditions, draws) bias floor, arcmin; NaN if there is none.
-        off_floor: (options, conditions, draws) successes outside the band about the bias floor.
+        grid: the runs, by option and condition.
     """
 
     source: Results
     choices: Choices
     criterion: SuccessMeasure
-    time_s: NDArray
-    error: NDArray
-    floor: NDArray
-    off_floor: NDArray
+    grid: Grid
 
     @classmethod
     def from_source(cls, source: Results) -> "SweepOutcome":
         """Read the columns of the summary that a verdict needs."""
-        criteria = source.success_measures
-        table = source.rows(
-            [*FLOOR_COLUMNS, *(n for y in criteria for n in (y.ok_column, y.settle_column))]
-        )
+        criteria, choices = source.success_measures, Choices.from_study(source.study)
+        columns = [name for y in criteria for name in (y.ok_column, y.settle_column)]
+        table = source.rows([*FLOOR_COLUMNS, *columns])
         # A criterion that some method does not have cannot compare the methods.
         criterion = next(
             (candidate for candidate in criteria if table[candidate.ok_column].null_count == 0),
             criteria[0],
         )
-        choices = Choices.from_study(source.study)
+        draws = table.num_rows // source.study.n_variants
+        return cls(source, choices, criterion, Grid({}, table, choices.runs(draws)))
 
-        def column(name: str) -> NDArray:
-            return choices.arrange_runs(analysis.numeric_column(table, name))
-
-        settle_s = np.where(
-            column(criterion.ok_column) > 0, column(criterion.settle_column), np.inf
-        )
-        time_s = np.where(np.isnan(settle_s), np.inf, settle_s)
-        error, floor = (column(name) for name in FLOOR_COLUMNS)
-        return cls(
-            source, choices, criterion, time_s, error, floor, criterion.outside_floor_band(column)
-        )
+    @cached_property
+    def time_s(self) -> NDArray:
+        """Settling times of successes, infinite for others, s; (options, conditions, draws)."""
+        column = self.grid.column
+        settled = column(self.criterion.ok_column) > 0
+        times_s = np.where(settled, column(self.criterion.settle_column), np.inf)
+        return np.where(np.isnan(times_s), np.inf, times_s)
 
     @property
     def n_draws(self) -> int:
@@ -148,8 +139,11 @@ class SweepOutcome:
 
     def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
-        names = ("time_s", "error", "floor", "off_floor")
-        return replace(self, **{name: getattr(self, name)[:, conditions] for name in names})
+        return replace(self, grid=self.grid._replace(rows=self.grid.rows[:, conditions]))
+
+    def flat(self, column: str, option: int) -> NDArray:
+        """A column of an option's runs."""
+        return self.grid.column(column)[option].ravel()
 
     @property
     def clusters(self) -> NDArray:
@@ -167,14 +161,17 @@ class SweepOutcome:
         times_s = self.time_s[option].ravel()
         return analysis.mean(times_s, self.clusters, limits=(0.0, longest_s))
 
+    def heading_error(self, option: int) -> Estimate:
+        """The rms heading error from the truth at the end, arcmin."""
+        return analysis.rms(self.flat("phi_u_arcmin", option), self.clusters)
+
     def format_settling(self, option: int, unit: str = "") -> str:
         """Return settling with an option as text: mean time, ``never``, or share that settles."""
         settled = np.isfinite(self.time_s[option])
         if settled.all():
             return format_estimate(self.mean_settling_s(option), unit, 0)
-        return (
-            f"{format_percent(self.success_share(option))} % settle" if settled.any() else "never"
-        )
+        share = format_percent(self.success_share(option))
+        return f"{share} % settle" if settled.any() else "never"
 
     def options_like_best(self) -> list[int]:
         """The options that the draws do not tell apart from the best, the fastest first.
@@ -193,27 +190,40 @@ class SweepOutcome:
         return sorted(found, key=lambda option: capped_s[option].mean())
 
     @cached_property
-    def held_out(self) -> "HeldOut | None":
-        """Settling on draws that did not choose the option; None with one option or few draws.
+    def held_out(self) -> tuple[str, bool]:
+        """Settling on draws that did not choose the option, and whether the best's agrees.
 
-        Each half of the draws is judged with the option that is best on the other half.
+        Each half of the draws is judged with the option that is best on the other half. No text
+        with one option or few draws.
         """
         if self.n_draws < _MIN_DRAWS_TO_SPLIT or len(self.time_s) == 1:
-            return None
+            return "", True
         chosen = held_out_choices(
             self.time_s, lambda half: best_option(half, self.unsettled_time_s)
         )
         times_s = self.time_s[chosen, :, np.arange(self.n_draws)].ravel()
         draws = np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
-        share = analysis.share(np.isfinite(times_s), draws)
-        return HeldOut(share, analysis.mean(times_s, draws))
+        share, mean_s = analysis.share(np.isfinite(times_s), draws), analysis.mean(times_s, draws)
+        text = f"{format_percent(share)} % of the runs settle"
+        text += f", after {format_estimate(mean_s, 's', 0)}" if share.value else ""
+        own = self.success_share(self.best), self.mean_settling_s(self.best)
+        agrees = not any(
+            found.value < best.low or found.value > best.high
+            for found, best in zip((share, mean_s), own, strict=True)
+        )
+        return f"on draws that did not choose the option, {text}", agrees
 
 
-class HeldOut(NamedTuple):
-    """Settling on draws that did not choose the option: share of the runs, and mean time, s."""
+def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
+    """Return the option with the fewest runs that never settle; of equals, the fastest on average.
 
-    share: Estimate
-    mean_s: Estimate
+    Args:
+        time_s: (options, conditions, draws) settling times, infinite for never.
+        unsettled_time_s: time that such a run counts in the average, s.
+    """
+    never = np.isinf(time_s).sum(axis=(1, 2))
+    mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
+    return int(np.lexsort((mean, never))[0])
 
 
 def study_title(source: Results) -> str:
@@ -243,56 +253,43 @@ def split_warnings(source: Results, *, warnings_shown: bool) -> tuple[list[Fact]
     study, recorded = source.study, source.study.is_recorded
     bands = [] if recorded else [*band_warnings(study)]
     others = () if warnings_shown else source.warnings
-    facts = [Fact("Warning", line, True) for line in others if line not in bands]
-    return [Fact("Band", line, True) for line in bands], facts
-
-
-def process_noise_caution(source: Results) -> Iterator[Fact]:
-    """A caution if the filter's Q is far larger than the noise of the sensors."""
-    if source.study.is_recorded:
-        return
-    ratios = [ratio for found in noise_ratios_by_sensor(source.study).values() for ratio in found]
-    most = max(ratios, default=0.0)
-    if most > _MAX_Q_RATIO:
-        which = "Q" if min(ratios) > _MAX_Q_RATIO else "Q of some variants"
-        yield Fact(
-            "Caution",
-            f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
-            " that repairs a mistuned filter is no recommendation (delete its q_ keys)",
-            True,
-        )
-
-
-def fit_cautions(source: Results, rare: float = 0.0) -> Iterator[Fact]:
-    """Yield doubts about fits, of which more than a share ``rare`` have too large a column."""
-    if "gravity_fit" not in source.study.methods:
-        return
-    try:
-        rows = source.rows(_FIT_DOUBTS)
-    except InputError:  # results of a version that does not have these columns
-        return
-    for name, (limit, doubt) in _FIT_DOUBTS.items():
-        values = analysis.numeric_column(rows, name)
-        values = values[np.isfinite(values)]
-        above = values[values > limit]
-        if above.size > rare * values.size:
-            which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
-            yield Fact("Caution", doubt.format(above.max()) + which, True)
+    facts = [caution(line, "Warning") for line in others if line not in bands]
+    return [caution(line, "Band") for line in bands], facts
 
 
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the best option, those like it, its rivals, its accuracy and the basis."""
-    names, best = outcome.choices.options, outcome.best
+    names, best, source = outcome.choices.options, outcome.best, outcome.source
     sentence = _settling_sentence(outcome)
     if len(names) == 1:
         yield Fact("Settling", sentence)
     else:
         yield Fact("Best", f"{names[best]}: {sentence}")
         yield from _comparison_facts(outcome)
-    if "gravity_fit" in outcome.source.study.methods:
+    if "gravity_fit" in source.study.methods:
         yield Fact("Refits", REFITS)
     yield _accuracy_fact(outcome)
-    yield from _basis_facts(outcome)
+    criterion = outcome.criterion
+    text = f"{format_percent(outcome.success_share(best))} % {criterion.description}"
+    if not criterion.truth:
+        error = outcome.flat("phi_u_arcmin", best)
+        right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
+        text += f", {format_percent(right)} % of north"
+    yield Fact("Success", text)
+    few = " (few)" if outcome.n_draws < MIN_DRAWS_FOR_INTERVALS else ""
+    yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
+    if rule := source.study.stop_when if source.whole_draws is None else None:
+        rows = source.rows(stopping.required_columns(source.study))
+        widest, sufficient = (
+            stopping.widest_half_width(source.study, rows, outcome.n_draws),
+            rule.half_width,
+        )
+        enough = "narrow enough" if widest <= sufficient else "not narrow enough, but all are drawn"
+        yield Fact(
+            "Stopped",
+            f"after {outcome.n_draws:,} draws: the widest interval of {rule.statistic} over the"
+            f" variants has a half-width of {widest:.3g}, {enough} (requested: {sufficient:g})",
+        )
 
 
 def _settling_sentence(outcome: SweepOutcome) -> str:
@@ -301,21 +298,16 @@ def _settling_sentence(outcome: SweepOutcome) -> str:
     if not settled.any():
         return "no run settles"
     time = format_estimate(outcome.mean_settling_s(outcome.best), "s", 0)
-    if settled.all():
-        return f"{_describe_all_runs(outcome)} settles, after {time} on average"
-    share = format_percent(outcome.success_share(outcome.best))
-    return f"{share} % of the runs settle, after {time} on average"
-
-
-def _describe_all_runs(outcome: SweepOutcome) -> str:
-    """All runs in words: by the condition, if one number makes it."""
-    axes = outcome.choices.condition_axes
+    if not settled.all():
+        share = format_percent(outcome.success_share(outcome.best))
+        return f"{share} % of the runs settle, after {time} on average"
+    runs, axes = "every run", outcome.choices.condition_axes
     if len(axes) == 1 and len(axes[0]) == 1:
         values = [value for (value,) in outcome.choices.conditions_by_point(axes[0])]
         if all(isinstance(value, int | float) for value in values):
             name, unit = condition_name_and_unit(axes[0][0])
-            return f"every {name} from {min(values):g} to {max(values):g} {unit}".rstrip()
-    return "every run"
+            runs = f"every {name} from {min(values):g} to {max(values):g} {unit}".rstrip()
+    return f"{runs} settles, after {time} on average"
 
 
 def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
@@ -336,18 +328,15 @@ def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
 def _accuracy_fact(outcome: SweepOutcome) -> Fact:
     """Return the heading error at the end, and its limiting factor."""
-    best = outcome.best
-    error, floor, time_s = (
-        values[best].ravel() for values in (outcome.error, outcome.floor, outcome.time_s)
-    )
-    found = analysis.rms(error, outcome.clusters)
-    aim = "the reference" if outcome.source.study.is_recorded else "true north"
+    error, floor = (outcome.flat(name, outcome.best) for name in FLOOR_COLUMNS)
+    found, recorded = outcome.heading_error(outcome.best), outcome.source.study.is_recorded
+    aim = "the reference" if recorded else "true north"
     text = f"{format_heading_error(found)}' rms from {aim}"
-    known = np.isfinite(error)
-    squares = float(np.sum(error[known] ** 2))
-    if float(np.sum(error[known & np.isinf(time_s)] ** 2)) > squares / 2:
+    squares = np.where(np.isfinite(error), error, 0.0) ** 2
+    never = np.isinf(outcome.time_s[outcome.best].ravel())
+    if squares[never].sum() > squares.sum() / 2:
         return Fact("Accuracy", f"{text}, mostly of runs that never settle")
-    if outcome.source.study.is_recorded or not np.isfinite(floor).any():
+    if recorded or not np.isfinite(floor).any():
         return Fact("Accuracy", text)
     lowest = analysis.rms(floor).value
     if lowest >= _LIMITING * found.value:
@@ -355,64 +344,55 @@ def _accuracy_fact(outcome: SweepOutcome) -> Fact:
     return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
 
 
-def _basis_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """Yield the success, the number of draws, and why the study stopped."""
-    study, draws, criterion = outcome.source.study, outcome.n_draws, outcome.criterion
-    text = f"{format_percent(outcome.success_share(outcome.best))} % {criterion.description}"
-    if not criterion.truth:
-        error = outcome.error[outcome.best].ravel()
-        right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
-        text += f", {format_percent(right)} % of north"
-    yield Fact("Success", text)
-    few = " (few)" if draws < MIN_DRAWS_FOR_INTERVALS else ""
-    yield Fact("Starts" if study.is_recorded else "Draws", f"{draws}{few}")
-    if rule := study.stop_when if outcome.source.whole_draws is None else None:
-        rows = outcome.source.rows(stopping.required_columns(study))
-        found = stopping.analyse_interim(study, rows, draws)
-        enough = "narrow enough" if found.is_sufficient else "not narrow enough, but all are drawn"
-        yield Fact(
-            "Stopped",
-            f"after {found.draws:,} draws: the widest interval of {rule.statistic} over the"
-            f" variants has a half-width of {found.half_width:.3g}, {enough} (requested:"
-            f" {rule.half_width:g})",
-        )
-
-
 def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
-    best, study = outcome.best, outcome.source.study
+    best, study, criterion = outcome.best, outcome.source.study, outcome.criterion
+    text, agrees = outcome.held_out
     if study.is_recorded:
-        yield Fact("Caution", "no intervals, since all runs are on one record", True)
-    elif not _agrees_when_held_out(outcome):
-        yield Fact("Caution", describe_held_out(outcome), True)
-    ok, off = (int(x[best].sum()) for x in (np.isfinite(outcome.time_s), outcome.off_floor))
+        yield caution("no intervals, since all runs are on one record")
+    elif not agrees:
+        yield caution(text)
+    ok = int(np.isfinite(outcome.time_s[best]).sum())
+    off = int(criterion.outside_floor_band(lambda name: outcome.flat(name, best)).sum())
     if off > _RARE * ok:
         number = "All" if off == ok else f"{off:,} of the"
-        yield Fact(
-            "Caution",
+        yield caution(
             f"{number} {format_count(ok, 'successful run')} of the best end more than"
-            f" {outcome.criterion.band_arcmin:g}' from their bias floors: they have not converged,"
-            " and their errors happen to be small",
-            True,
+            f" {criterion.band_arcmin:g}' from their bias floors: they have not converged,"
+            " and their errors happen to be small"
         )
     yield from process_noise_caution(outcome.source)
 
 
-def describe_held_out(outcome: SweepOutcome) -> str:
-    """Settling on draws that did not choose the option, in words; empty if there are too few."""
-    if (found := outcome.held_out) is None:
-        return ""
-    text = f"{format_percent(found.share)} % of the runs settle"
-    if found.share.value:
-        text += f", after {format_estimate(found.mean_s, 's', 0)}"
-    return f"on draws that did not choose the option, {text}"
+def process_noise_caution(source: Results) -> Iterator[Fact]:
+    """A caution if the filter's Q is far larger than the noise of the sensors."""
+    if source.study.is_recorded:
+        return
+    ratios = [ratio for found in noise_ratios_by_sensor(source.study).values() for ratio in found]
+    most = max(ratios, default=0.0)
+    if most > _MAX_Q_RATIO:
+        which = "Q" if min(ratios) > _MAX_Q_RATIO else "Q of some variants"
+        yield caution(
+            f"{which} is {float(f'{most:.2g}'):,g} times the sensors' noise (sigma): a schedule"
+            " that repairs a mistuned filter is no recommendation (delete its q_ keys)"
+        )
 
 
-def _agrees_when_held_out(outcome: SweepOutcome) -> bool:
-    """Whether settling on draws that did not choose lies within the intervals of the best."""
-    own = outcome.success_share(outcome.best), outcome.mean_settling_s(outcome.best)
-    pairs = zip(outcome.held_out or own, own, strict=True)
-    return not any(found.value < best.low or found.value > best.high for found, best in pairs)
+def fit_cautions(source: Results, rare: float = 0.0) -> Iterator[Fact]:
+    """Yield doubts about fits, of which more than a share ``rare`` have too large a column."""
+    if "gravity_fit" not in source.study.methods:
+        return
+    try:
+        rows = source.rows(_FIT_DOUBTS)
+    except InputError:  # results of a version that does not have these columns
+        return
+    for name, (limit, doubt) in _FIT_DOUBTS.items():
+        values = analysis.numeric_column(rows, name)
+        values = values[np.isfinite(values)]
+        above = values[values > limit]
+        if above.size > rare * values.size:
+            which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
+            yield caution(doubt.format(above.max()) + which)
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:
@@ -422,21 +402,20 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
     axis = choices.most_influential_axis(time_s)
     if axis is None:
         return None
-    reference = choices.options_without_reset or [overall]
+    without = choices.with_resets(0)
     header = ["settled (%)", "settles after, mean (s)", "error, rms (arcmin)"]
     if len(choices.options) > 1:
-        rival = "no reset (s)" if choices.options_without_reset else "best overall (s)"
+        rival = "no reset (s)" if without else "best overall (s)"
         header = [f"best {choices.option_noun}", "settles after, mean (s)", rival]
     rows = []
     for point, conditions in choices.conditions_by_point(axis).items():
         here = outcome.select_conditions(conditions)
         if len(choices.options) > 1:
-            best, other = here.best, here.best_of(reference)
+            best, other = here.best, here.best_of(without or [overall])
             cells = [choices.options[best], here.format_settling(best), here.format_settling(other)]
         else:
-            error = analysis.rms(here.error[0].ravel(), here.clusters)
             share = format_percent(here.success_share(0))
-            cells = [share, here.format_settling(0), format_heading_error(error)]
+            cells = [share, here.format_settling(0), format_heading_error(here.heading_error(0))]
         rows.append([format_condition(axis, point), *cells])
     first = condition_header(axis)
     return Table(f"Per {first}", [first, *header], rows)

@@ -8,7 +8,6 @@ from sinsjax.methods.filters.keys import (
     GYRO_NOISE,
     ProcessNoise,
     surge_density,
-    update_variance,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import reading_methods
@@ -30,33 +29,11 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     """
     ratios = {noise.sensors: set[float]() for noise in _NOISES}
     for noise in _NOISES if study.has("filter") else ():
-        keys = ("method", "q_reading", "q_scale", *noise.forms, *keys_of(noise.density))
+        keys = ("method", "q_reading", "q_scale", *noise.forms, *noise.white)
         for point in study.combinations(*keys):
-            white = noise.white(study.rate_hz, point)
+            white = noise.white_density(study.rate_hz, point)
             if white and point["method"] in reading_methods(noise.key):
                 ratios[noise.sensors].add(noise.q(study.rate_hz, point) ** 0.5 / white)
-    return ratios
-
-
-def surge_noise_ratios(study: Study) -> set[float]:
-    """Return the ratios of R to the density of the surge, as variances.
-
-    Args:
-        study: checked study.
-
-    Returns:
-        The distinct ratios over all variants with a surge that all draws have and a filter that
-        takes it for measurement noise; empty for a record.
-    """
-    ratios: set[float] = set()
-    if not study.has("filter") or study.is_recorded:
-        return ratios
-    keys = keys_of(update_variance)
-    for point in study.combinations("method", *keys):
-        density = surge_density(*(point[key] for key in keys_of(surge_density)))
-        if density and _takes_surge_for_noise(point["method"]):
-            r = update_variance(study.rate_hz, *(point[key] for key in keys))
-            ratios.add(r / study.rate_hz / density)
     return ratios
 
 
@@ -85,7 +62,7 @@ def _check_q_unit(study: Study) -> None:
 
 def _check_q(noise: ProcessNoise, study: Study) -> None:
     """Refuse a study in which neither keys nor the sensors determine Q."""
-    sensor_keys = () if study.is_recorded else keys_of(noise.density)
+    sensor_keys = () if study.is_recorded else noise.white
     drawn = [key for key in sensor_keys if key in study.drawn_keys]
     for point in study.combinations("method", *noise.forms, *sensor_keys):
         given = any(point[key] is not None for key in noise.forms)
@@ -95,7 +72,7 @@ def _check_q(noise: ProcessNoise, study: Study) -> None:
             reason = f"a record does not give the noise of its {noise.sensors}"
         elif drawn:
             reason = f"{drawn[0]} is drawn, but the filter has the same Q in all draws"
-        elif noise.white(1.0, point):
+        elif noise.white_density(1.0, point):
             continue
         else:
             reason = f"the {noise.sensors} have no white noise in [sensors]"
@@ -113,7 +90,8 @@ def _check_r(study: Study) -> None:
 
 
 NOISE_RULES: tuple[Callable[[Study], None], ...] = (
-    *(_check_q_unit, partial(_check_q, ACCEL_NOISE), partial(_check_q, GYRO_NOISE)),
+    _check_q_unit,
+    *(partial(_check_q, noise) for noise in _NOISES),
     _check_r,
 )
 """The rules of Q and R, for a study with [filter]."""

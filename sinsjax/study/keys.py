@@ -11,13 +11,12 @@ from sinsjax import gone
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.method import INITIAL_KEYS
-from sinsjax.methods.plugins import exclude_clashing
 from sinsjax.methods.registry import (
     BROKEN,
     METHODS,
     PACKAGES,
-    REGISTRY,
     SECTIONS_OF_METHODS,
+    drop_clashing_plugins,
     external_names,
 )
 from sinsjax.study import alignment, schema
@@ -39,7 +38,7 @@ _SECTIONS_AFTER: dict[str, type[Section]] = {
     "tune": schema.TuneSection,
 }
 _TABLES_OF_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
-exclude_clashing(REGISTRY, _SECTIONS_BEFORE | _SECTIONS_AFTER | _TABLES_OF_SWEEPS)
+drop_clashing_plugins(_SECTIONS_BEFORE | _SECTIONS_AFTER | _TABLES_OF_SWEEPS)
 
 SECTIONS = _SECTIONS_BEFORE | SECTIONS_OF_METHODS | _SECTIONS_AFTER
 """Sections of leaf keys by their name in the file."""

@@ -25,7 +25,7 @@ LAW_METHODS = ("kalman5",)
 """Methods for which cells of `docs/reset_law.md` show that the law holds."""
 
 _EARTH = ("earth", "gravity_m_per_s2", "earth_rate_deg_per_h", "latitude_deg")
-_NOISE = (*keys_of(ACCEL_NOISE.density), *keys_of(GYRO_NOISE.density))
+_NOISE = (*ACCEL_NOISE.white, *GYRO_NOISE.white)
 NOISE_KEYS = (*_EARTH, *_NOISE)
 """Keys that `noise_heading_sigma` follows from."""
 
@@ -164,8 +164,8 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
         point: values of `NOISE_KEYS`.
     """
     place = _read_place(point)
-    accel = (ACCEL_NOISE.white(rate_hz, point) * place.ug) ** 2
-    gyro = (GYRO_NOISE.white(rate_hz, point) * DEG_PER_H) ** 2
+    accel = (ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2
+    gyro = (GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2
     return float(reset_law.noise_sigma(time_s, place.gravity, place.north_rate, accel, gyro))
 
 
@@ -190,8 +190,8 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         gravity=place.gravity,
         feedback_s=point["feedback_interval_s"],
         is_force_measured=point["specific_force"] == "measured",
-        accel_noise=(ACCEL_NOISE.white(rate_hz, point) * place.ug) ** 2,
-        gyro_noise=(GYRO_NOISE.white(rate_hz, point) * DEG_PER_H) ** 2,
+        accel_noise=(ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2,
+        gyro_noise=(GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2,
         tilt_noise=GYRO_NOISE.q(rate_hz, point) * DEG_PER_H**2,
         surge=surge_density(*(point[key] for key in keys_of(surge_density))),
     )

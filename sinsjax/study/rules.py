@@ -385,9 +385,9 @@ def _check_drawn_values(study: Study) -> None:
     for key in doubtful:
         for place in map(int, (drawn[key].argmin(), drawn[key].argmax())):
             value = float(drawn[key].flat[place])
-            if reason := error(key, value):
+            if problem := error(key, value):
                 draw = place // NUMBERS_DRAWN[key]
-                found.setdefault(key, f"draw {draw} gives {value!r}: {reason}")
+                found.setdefault(key, f"draw {draw} gives {value!r}: {problem}")
     _refuse_all(study, found)
 
 

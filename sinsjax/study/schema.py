@@ -17,7 +17,7 @@ from sinsjax.records.layout import (
     ACCEL_UNITS,
     GYRO_UNITS,
     RecordLayout,
-    find_fault,
+    find_faults,
 )
 from sinsjax.value_types import (
     Effect,
@@ -481,8 +481,9 @@ class RecordSection(Section):
             if names_columns and getattr(self, key) is None:
                 raise rule_error(f"required with format '{self.format}'", key=key)
         # `rules` checks whether a rate is needed.
-        if self.format != "arrays" and (found := find_fault(self.layout(rate_hz=1.0))):
-            raise rule_error(shorten(found.text), key=found.key)
+        if self.format != "arrays":
+            for key, text in find_faults(self.layout(rate_hz=1.0)):
+                raise rule_error(shorten(text), key=key)
         for key, known in (("gyro_unit", GYRO_UNITS), ("accel_unit", ACCEL_UNITS)):
             if self.quantity is not None and getattr(self, key) not in known[self.quantity]:
                 units = ", ".join(known[self.quantity])

@@ -75,6 +75,11 @@ class SearchSpace:
     rate_hz: float
     record_interval_s: float
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the variables."""
+        return [variable.name for variable in self.variables]
+
     @classmethod
     def from_study(cls, study: Study) -> "SearchSpace":
         """Return the search space of a study with [tune]."""

@@ -19,10 +19,20 @@ Lookup = Callable[[str], Any]
 
 
 class Variants:
-    """Columns of a study for some of its variants: `methods.method.StudyKeys`.
+    """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
         ids: (variants,) numbers of the variants in the study.
+        record_interval_s: time between two record times, s.
+        run_s: length of the shortest run, s.
+        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
+        site: `methods.method.Site` of these variants; for params only.
+        micro_g: the micro-g that the study counts in, m/s^2; for params only.
+        combinations: (keys) -> their distinct combinations over all variants as dictionaries; a
+            drawn key is None.
+        given_combinations: the same as the file gives them, before others decide their values.
+        given_in: (key) -> the table, in brackets, that gives a key; None if it is left out.
+        refuse: (key, text) raises the `InputError` of a key: ``[section] key: text``.
     """
 
     def __init__(

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from sinsjax.analysis import Estimate
+from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.execution.prepare import RunOptions, issue_warnings
+from sinsjax.execution.progress import python_progress
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
@@ -15,7 +16,6 @@ from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import results
 from sinsjax.tuning.run_tuning import LAW, prepare_tuning, run_tuning
-from sinsjax.tuning.search import Watch
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,18 +85,21 @@ class TuningResults:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
         return display.format_text(f"Tuning of {self._tuning.search_study.name}", self._facts())
 
-    def __dir__(self) -> list[str]:
-        """Return the names that a user needs, for the completion of interactive sessions."""
-        return ["baseline", "best", "directory", "law", "objective", "score", "search", "study"]
-
     def _facts(self) -> dict[str, str]:
         point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())
+        score, baseline = map(format_estimate, (self.score, self.baseline))
         return {
             "objective": self.objective,
             "best": f"{point} ({self.search})",
-            "score": f"{_estimate_text(self.score)}; baseline {_estimate_text(self.baseline)}",
+            "score": f"{score}; baseline {baseline}",
             "stored": f"in {self.directory}",
         }
+
+
+def _value_text(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value_text, value))}]"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def tune(
@@ -106,7 +109,7 @@ def tune(
     *,
     overwrite: bool = False,
     resume: bool = False,
-    watch: Watch | None = None,
+    progress: bool | None = None,
     stop: threading.Event | None = None,
     source: Path | str | None = None,
 ) -> TuningResults:
@@ -121,7 +124,8 @@ def tune(
         record: the record of a recorded study, with a reference (`prepare.load_increments`).
         overwrite: whether to replace an earlier tuning run.
         resume: whether to keep complete searches of the same tuning run and do only the rest.
-        watch: gives the progress callback for the name of a search.
+        progress: whether to show the progress; None shows it on a terminal or in a notebook, after
+            two seconds.
         stop: event that ends the tuning run; complete stages are kept.
         source: words for the study in manifests; None for its file.
 
@@ -141,18 +145,8 @@ def tune(
         True
     """
     options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options), tunes=True)
-    run_tuning(job, watch=watch, stop=stop)
+    job = issue_warnings(prepare_tuning(study, None, record, None, options))
+    name = job.study.name
+    run_tuning(job, lambda search: python_progress(f"{name}: {search}", progress), stop)
     assert job.directory is not None
     return TuningResults(job.directory)
-
-
-def _value_text(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value_text, value))}]"
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _estimate_text(estimate: Estimate) -> str:
-    value, low, high = (f"{number:.3g}" for number in estimate[:3])
-    return value if "nan" in (low, high) else f"{value} [{low}, {high}]"

@@ -31,7 +31,6 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import earth
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import with_point
-from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
@@ -64,14 +63,9 @@ def descend(
 ) -> SearchResult:
     """Tune a study by gradient, for every combination of its candidates.
 
-    Args:
-        study: study with [tune].
-        stored: the record of a recorded study.
-        on_progress: called with the progress, in runs, after every step.
-
-    Returns:
-        Every step of every descent with its relaxed objective, and the final points with their
-        unrelaxed objective on all tuning draws, the law's schedule among them.
+    Returns every step of every descent with its relaxed objective, and the final points with their
+    unrelaxed objective on all tuning draws, the law's schedule among them. The progress is that of
+    runs, after every step.
 
     Raises:
         InputError: a variable has no gradient, or the record does not fit.
@@ -90,9 +84,8 @@ class _Descents:
         assert study.tune is not None
         self._study, self._stored, self._number, self._cost = study, stored, number, cost
         self._tune, self._space = study.tune, SearchSpace.from_study(study)
-        self._combination = self._space.combinations[number]
-        self._parameters = TunedParams(study, self._combination)
-        self._used = self._space.used_variables(self._combination)
+        self._parameters = TunedParams(study, self._space.combinations[number])
+        self._used = self._space.used_variables(self._space.combinations[number])
         law = law_point(study, number)
         self._laws = np.empty((0, len(self._used))) if law is None else law[None, self._used]
 
@@ -110,7 +103,9 @@ class _Descents:
         evaluations: list[Evaluation] = []
         for step in range(steps):
             draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
-            softness = _softness(tune, step)
+            share = step / max(steps - 1, 1)  # geometric from the first to the last
+            ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
+            softness = Softness(*(first * (last / first) ** share for first, last in ends))
             scores, gradient = slope(box, draws, softness)
             self._cost += slope.cost
             window_s = softness.window_s if self._parameters.moves_resets else None
@@ -122,7 +117,9 @@ class _Descents:
             if on_progress is not None:
                 done, total = ((n * starts * slope.draws) for n in (step + 1, steps))
                 on_progress(RunProgress(done, total, 0, 0))
-            moves, state = adam.update(np.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
+            finite = np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
+            with jax.numpy_dtype_promotion("standard"):  # which optax is written for
+                moves, state = adam.update(finite, state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
         return [*evaluations, *self._evaluate_ends(box)]
 
@@ -131,15 +128,14 @@ class _Descents:
 
         The reset schedule by the law is one of them.
         """
-        count = max(self._tune.descent_screen, self._tune.descent_starts)
-        counts = [count] * len(self._space.combinations)
-        design = search.sobol_design(self._space, counts, search.search_seed(self._study, NAME))
+        starts = self._tune.descent_starts
+        count = max(self._tune.descent_screen, starts)
+        design = search.sobol_design(self._study, NAME, count)
         box = design.box[design.candidate == self._number][:, self._used]
         box = np.concatenate([self._laws, box])
-        if count == self._tune.descent_starts:
+        if count == starts:
             return box[:count]
-        scores = self._score(self._values(box), draws)
-        return box[np.argsort(scores, kind="stable")[: self._tune.descent_starts]]
+        return box[np.argsort(self._score(self._values(box), draws), kind="stable")[:starts]]
 
     def _evaluate_ends(self, box: NDArray) -> list[Evaluation]:
         """Evaluate the final points and the law's on all tuning draws, the latter without a start.
@@ -147,11 +143,10 @@ class _Descents:
         The relaxed objective may lead a descent from the law's point to a worse one.
         """
         values = self._values(np.concatenate([box, self._laws]))
-        scores = self._score(values, None)
-        step, starts = self._tune.descent_steps, [*range(len(box)), *[None] * len(self._laws)]
+        scores, step = self._score(values), self._tune.descent_steps
         return [
-            Evaluation(step, self._number, point, score, self._cost, start)
-            for start, point, score in zip(starts, values, scores, strict=True)
+            Evaluation(step, self._number, *end, self._cost, start if start < len(box) else None)
+            for start, end in enumerate(zip(values, scores, strict=True))
         ]
 
     def _values(self, box: NDArray) -> list[list[float]]:
@@ -160,30 +155,20 @@ class _Descents:
         whole[:, self._used] = box
         return [self._space.to_values(row) for row in whole]
 
-    def _score(self, values: Sequence[Sequence[float]], draws: int | None) -> list[float]:
+    def _score(self, values: Sequence[Sequence[float]], draws: int | None = None) -> list[float]:
         """Return the objective at some points with hard resets, on all or the first draws."""
         study = self._study
         if draws is not None and not study.is_recorded:
-            study = study.model_copy(
-                update={"tune": self._tune.model_copy(update={"tune_draws": draws})}
-            )
+            study = study.replace({"tune.tune_draws": draws})
         scored = search.score_points(
             study,
             NAME,
-            self._points(values),
-            lambda derived: objective.run_values(
-                self._tune,
-                derived,
-                run.run(derived, self._stored, curves=False, progress=False).summary,
-            ),
+            [self._number] * len(values),
+            values,
+            lambda of: run.run(of, self._stored, curves=False, progress=False).summary,
         )
-        self._cost += search.total_steps(scored.derived)
+        self._cost += scored.costs[-1]
         return scored.scores
-
-    def _points(self, values: Sequence[Sequence[float]]) -> list[TomlTable]:
-        return [
-            self._space.make_point(list(np.nan_to_num(row)), self._combination) for row in values
-        ]
 
 
 # The objective of some descents and its gradient
@@ -201,21 +186,12 @@ class Softness(NamedTuple):
     sharpness: float
 
 
-def _softness(tune: TuneSection, step: int) -> Softness:
-    """Return the degree of relaxation of a step, geometric from the first to the last."""
-    share = step / max(tune.descent_steps - 1, 1)
-    ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
-    return Softness(*(first * (last / first) ** share for first, last in ends))
-
-
 class _Lane(NamedTuple):
-    """Params of a lane, and the derivatives of those that depend on the variables.
-
-    They are in the place of the method's params until it is run.
+    """What lanes have in place of the method's params until they are run.
 
     Attributes:
         params: leaves (lanes, ...).
-        slopes: leaves (lanes, p, ...) by their number among the leaves of ``params``.
+        slopes: derivatives of the leaves that depend on the variables, (lanes, p, ...), by number.
         width: (lanes,) half width of the windows of resets, samples; None if none moves.
     """
 
@@ -258,30 +234,22 @@ class Slope:
         starts: int,
         draws: int,
     ) -> None:
-        """Prepare the runs.
-
-        Args:
-            parameters: what the variables do to the methods' parameters.
-            stored: the record of a recorded study.
-            starts: number of descents.
-            draws: number of draws per step, at most.
+        """Prepare the runs of some descents, with at most so many draws per step.
 
         Raises:
             InputError: the record does not fit.
         """
         study = parameters.study
         assert study.tune is not None
-        self._tune, self._parameters = study.tune, parameters
-        self._starts = starts
+        self._tune, self._parameters, self._starts = study.tune, parameters, starts
         self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         require_floor(derived)
         scenario = Scenario(derived, stored, curves=False)
-        numbers = range(len(scenario.specs))
-        batches = [scenario.batch(number) for number in numbers]
-        self.n_draws = batches[0].n_draws
+        batches = [(scenario.batch(i), scenario.keys(i)) for i in range(len(scenario.specs))]
+        self.n_draws = batches[0][0].n_draws
         self.draws = min(draws, self.n_draws)
-        self._programs = list(map(self._program, batches, map(scenario.keys, numbers)))
+        self._programs = [self._program(*batch) for batch in batches]
         self._draw_cost = search.total_steps(derived) / derived.n_draws
 
     @property
@@ -291,29 +259,17 @@ class Slope:
         return round(self._starts * self.draws * self._draw_cost * (1 + tangents))
 
     def __call__(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
-        """Return the objective of each descent, and its gradient.
+        """Return the objective of each descent, (starts,), and its gradient, (starts, p).
 
         Args:
             box: (starts, p) positions of the variables in their ranges, 0 to 1.
             draws: (draws,) indices of the draws to use.
             softness: degree of relaxation.
-
-        Returns:
-            The objective (starts,) in its unit, and its gradient (starts, p).
         """
         by_program = [self._run(program, box, draws, softness) for program in self._programs]
         runs, slopes = (np.concatenate(parts, axis=1) for parts in zip(*by_program, strict=True))
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
-
-    def programs(
-        self, box: NDArray, draws: NDArray, softness: Softness
-    ) -> list[jax.stages.Compiled]:
-        """Return the compiled programs of a call with these arguments, one per group of runs."""
-        return [
-            program.jitted.lower(*self._arguments(program, box, draws, softness)[0]).compile()
-            for program in self._programs
-        ]
 
     def _program(self, batch: Batch, keys: Variants) -> _Program:
         """Return the program of a batch with lanes for each descent and variant."""
@@ -321,12 +277,12 @@ class Slope:
             lambda a: np.concatenate([np.asarray(a)] * self._starts), batch.params
         )
         batch = batch._replace(params=of_starts)
-        variants = batch.n_variants
         params = self._parameters.differentiate(batch.spec.method, keys)
         middle = np.full((self._starts, len(self._parameters.variables)), 0.5)
         _, slopes = params(middle)
         active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
-        runs, devices = self.draws * variants, len(jax.devices())
+        variants, devices = batch.n_variants, len(jax.devices())
+        runs = self.draws * variants
         # Few runs need fewer lanes; a call has at least two blocks for each device.
         lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
         tiles = -(-runs // (lanes * devices))
@@ -338,25 +294,24 @@ class Slope:
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
     ) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        jitted, variants = program.jitted, program.batch.n_variants
+        jitted, variants, p = program.jitted, program.batch.n_variants, box.shape[1]
         arguments = self._arguments(program, box, draws, softness)
         jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
-        calls = list(
-            map_in_threads(
-                lambda call: jax.device_get(jitted(*call)), arguments, len(jax.devices())
-            )
+        calls = map_in_threads(
+            lambda call: jax.device_get(jitted(*call)), arguments, len(jax.devices())
         )
-        p, n = box.shape[1], calls[0][0].shape[-1]  # n values per run
-        out = np.empty((len(draws) * variants, n, 1 + p))
+        values = np.empty((len(draws), variants))
+        slopes = np.empty((len(draws), variants, p))
         for number, (value, slope) in enumerate(calls):
             runs = program.layout.active(number)
-            rows = runs.draw * variants + runs.variant
-            out[rows, :, 0] = value.reshape(-1, n)[runs.lane]
-            out[rows, :, 1:] = np.moveaxis(slope, -3, -1).reshape(-1, n, p)[runs.lane]
-        shape = (len(draws), self._starts, variants // self._starts, n, 1 + p)
-        out = np.moveaxis(out.reshape(shape), 0, 2)
-        out = out.reshape(*out.shape[:2], len(draws) * n, 1 + p)
-        return out[..., 0], out[..., 1:]
+            values[runs.draw, runs.variant] = value.reshape(-1)[runs.lane]
+            by_lane = np.moveaxis(slope, -2, -1).reshape(-1, p)
+            slopes[runs.draw, runs.variant] = by_lane[runs.lane]
+        shape = (len(draws), self._starts, variants // self._starts)
+        return (
+            np.moveaxis(values.reshape(shape), 0, 2),
+            np.moveaxis(slopes.reshape(*shape, p), 0, 2),
+        )
 
     def _arguments(
         self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
@@ -409,15 +364,9 @@ class Slope:
 
 
 def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:
-    """Return value and derivatives of a function along some directions, in one forward pass.
+    """Return value and derivatives of a function of a tree of arrays, in one forward pass.
 
-    Args:
-        function: function of an array, or of a tree of arrays.
-        point: where to differentiate.
-        directions: (p, *shape of the point), or a tree of them.
-
-    Returns:
-        The value, and its derivatives with a leading axis of p.
+    The directions have, and the derivatives get, a leading axis of p before the shape of the point.
     """
 
     def derivative(direction: Any) -> tuple[Any, Any]:
@@ -430,35 +379,33 @@ def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -
 # What the variables do to the params of methods
 
 
-class _TunedKeys:
+class _TunedKeys(Variants):
     """The keys of some variants, of which the tuned ones have traced values."""
 
     def __init__(self, keys: Variants, tuned: Mapping[str, Any]) -> None:
-        self._keys, self._tuned = keys, tuned
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._keys, name)
+        self.__dict__ |= vars(keys)
+        self._tuned = tuned
 
     def column(self, key: str, factor: float = 1.0) -> Any:
         """Return numbers times a factor, (variants,); NaN if the key is left out."""
         if key not in self._tuned:
-            return self._keys.column(key, factor)
-        return jnp.full(self._keys.count, self._tuned[key] * factor)
+            return super().column(key, factor)
+        return jnp.full(self.count, self._tuned[key] * factor)
 
     def si(self, key: str) -> Any:
         """Return numbers in SI units, (variants,); NaN if the key is left out."""
-        return self.column(key, si_factor(key, self._keys.micro_g))
+        return self.column(key, si_factor(key, self.micro_g))
 
     def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
         """Return a function of the values of some keys, (variants, ...)."""
         if self._tuned.keys().isdisjoint(keys):
-            return self._keys.compute(function, *keys, dtype=dtype)
+            return super().compute(function, *keys, dtype=dtype)
         return self._by_variant(function, keys, lambda found: [jnp.asarray(one) for one in found])
 
     def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
         """Return lists of a function of some keys, (variants, longest), padded with ``padding``."""
         if self._tuned.keys().isdisjoint(keys):
-            return self._keys.lists(function, *keys, padding=padding)
+            return super().lists(function, *keys, padding=padding)
 
         def pad(found: list[Any]) -> list[Array]:
             longest = max(map(len, found))
@@ -470,8 +417,9 @@ class _TunedKeys:
         self, function: Callable[..., Any], keys: tuple[str, ...], to_arrays: Callable
     ) -> Array:
         """Return a function of keys once per combination, expanded over the variants."""
-        codes, choices = self._keys.coded(*keys)
-        rows = [values if len(keys) > 1 else (values,) for values in choices]
+        column = self.coded(*keys)
+        used, codes = np.unique(column.codes, return_inverse=True)
+        rows = [column.choices[code] if len(keys) > 1 else (column.choices[code],) for code in used]
         found = [
             function(*(self._tuned.get(key, value) for key, value in zip(keys, row, strict=True)))
             for row in rows
@@ -490,11 +438,7 @@ class TunedParams:
     """
 
     def __init__(self, study: Study, combination: TomlTable) -> None:
-        """Check that all variables have a gradient.
-
-        Args:
-            study: study with [tune].
-            combination: values of the candidates, one of the combinations of its search space.
+        """Check that all variables of a combination of candidates have a gradient.
 
         Raises:
             InputError: ``[tune.variables] key: has no gradient (hint)``.
@@ -523,10 +467,7 @@ class TunedParams:
     def at(self, method: str, keys: Variants, box: Array) -> Any:
         """Return the params of a method at a point, leaves (variants, ...); resets are hard.
 
-        Args:
-            method: its name.
-            keys: keys of variants with this method.
-            box: (p,) positions of the variables in their ranges, 0 to 1.
+        The box has the (p,) positions of the variables in their ranges, 0 to 1.
         """
         tuned: dict[str, Any] = {}
         for place, variable in zip(box, self.variables, strict=True):
@@ -543,13 +484,8 @@ class TunedParams:
     def differentiate(self, method: str, keys: Variants) -> Callable[[NDArray], tuple[Any, Any]]:
         """Return a function of the points of all starts, compiled once: params and derivatives.
 
-        Args:
-            method: its name.
-            keys: keys of variants with this method.
-
-        Returns:
-            (starts, p) positions of the variables in their ranges, 0 to 1 -> the params, leaves
-            (starts * variants, ...), and their derivatives, leaves (starts * variants, p, ...).
+        Of (starts, p) positions in the ranges, 0 to 1, it returns leaves (starts * variants, ...)
+        and (starts * variants, p, ...).
         """
         at = partial(self.at, method, keys)
 

@@ -4,13 +4,12 @@ Reading it needs no JAX, so a report starts without it.
 """
 
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
@@ -19,7 +18,6 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import atomic_write
-from sinsjax.study.identity import describe_differences
 from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
@@ -82,22 +80,6 @@ class SearchResult(NamedTuple):
         """The relaxed evaluations, those of descents."""
         return [e for e in self.evaluations if e.sharpness is not None]
 
-    @property
-    def best_by_cost(self) -> tuple[NDArray, NDArray, bool]:
-        """Cost and best objective so far, and whether that is relaxed.
-
-        Descents have the best of all of them at each step.
-        """
-        if relaxed := self.relaxed_evaluations:
-            steps: dict[int, list[Evaluation]] = {}
-            for evaluation in relaxed:
-                steps.setdefault(evaluation.step, []).append(evaluation)
-            cost = [max(e.cost for e in step) for step in steps.values()]
-            best = [min(e.objective for e in step) for step in steps.values()]
-            return np.array(cost), np.array(best), True
-        lowest = np.minimum.accumulate([e.objective for e in self.evaluations])
-        return np.array([e.cost for e in self.evaluations]), lowest, False
-
     def point(self, space: SearchSpace) -> TomlTable:
         """Return the keys and values of the best point."""
         # The value of an unused variable does not matter.
@@ -126,34 +108,23 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
 def write_history(directory: Path, study: Study, searches: Iterable[SearchResult]) -> None:
     """Write the history of some searches atomically, sealed and with the study that they tune.
 
-    Args:
-        directory: directory of the tuning run.
-        study: study with [tune].
-        searches: their results.
-
     Raises:
         InputError: the file cannot be written.
     """
-    table = _history_table(SearchSpace.from_study(study), searches)
+    space = SearchSpace.from_study(study)
+    rows = [
+        e._asdict() | {"search": result.search} | dict(zip(space.names, e.values, strict=True))
+        for result in searches
+        for e in result.evaluations
+    ]
+    layout = history_columns(space)
+    arrays = [
+        pa.array([row[c.name] for row in rows], c.dtype, from_pandas=c.name in space.names)
+        for c in layout
+    ]
+    table = pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
     with atomic_write(directory / FILE) as file:
         file.write(sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
-
-
-def _history_table(space: SearchSpace, searches: Iterable[SearchResult]) -> pa.Table:
-    rows = [(result.search, e) for result in searches for e in result.evaluations]
-    columns = {
-        "search": [search for search, _ in rows],
-        **{
-            key: [getattr(e, key) for _, e in rows] for key in Evaluation._fields if key != "values"
-        },
-        **{
-            variable.name: pa.array([e.values[i] for _, e in rows], _F, from_pandas=True)
-            for i, variable in enumerate(space.variables)
-        },
-    }
-    layout = history_columns(space)
-    arrays = [pa.array(columns[column.name], column.dtype) for column in layout]
-    return pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
 
 
 def read_history(directory: str | Path) -> pa.Table:
@@ -194,10 +165,6 @@ def _read_table(directory: Path) -> pa.Table:
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
     """Read the searches of a history, in their order.
 
-    Args:
-        directory: directory of the tuning run.
-        space: search space of its study.
-
     Raises:
         InputError: the history cannot be read, or is of other variables.
     """
@@ -205,22 +172,12 @@ def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
     missing = {column.name for column in history_columns(space)}.difference(table.column_names)
     if missing:
         raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")
-    return list(_group_by_search(table.to_pylist(), [v.name for v in space.variables]))
-
-
-def _group_by_search(rows: list[TomlTable], names: list[str]) -> Iterator[SearchResult]:
-    for search in dict.fromkeys(row["search"] for row in rows):
-        yield SearchResult(
-            escape_controls(search),
-            [
-                Evaluation(
-                    **{key: row[key] for key in Evaluation._fields if key != "values"},
-                    values=[np.nan if row[name] is None else row[name] for name in names],
-                )
-                for row in rows
-                if row["search"] == search
-            ],
-        )
+    searches: dict[str, list[Evaluation]] = {}
+    for row in table.to_pylist():
+        values = [np.nan if row[name] is None else row[name] for name in space.names]
+        fields = {key: row[key] for key in Evaluation._fields if key != "values"}
+        searches.setdefault(row["search"], []).append(Evaluation(**fields, values=values))
+    return [SearchResult(escape_controls(name), found) for name, found in searches.items()]
 
 
 # The study of a stored tuning run
@@ -244,17 +201,11 @@ def load_tuned_study(directory: Path) -> Study:
     Raises:
         InputError: it cannot be read, or is not the study of the history.
     """
-    remedy = "(delete it: `sinsjax tune --resume` writes it again)"
-    path, stored = directory / STUDY, load_stored_study(directory)
-    try:
-        study = load_study(path)
-    except InputError as error:
-        raise InputError(f"{error} {remedy}" if stored else str(error)) from None
-    if stored is not None and study_to_toml(stored) != study_to_toml(study):
-        differing = describe_differences(stored, study, ("in the history", "in the file"))
-        text = f"is not the study of the history: {'; '.join(differing)}"
-        raise InputError(f"{path}: {text} {remedy}")
-    return study
+    path, text = directory / STUDY, _study_text(directory)
+    if text is not None and not (path.is_file() and path.read_bytes() == text.encode()):
+        remedy = "delete it: `sinsjax tune --resume` writes it again"
+        raise InputError(f"{path}: is not the study of the history ({remedy})")
+    return load_study(path)
 
 
 def load_stored_study(directory: Path) -> Study | None:

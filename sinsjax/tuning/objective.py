@@ -72,12 +72,7 @@ def failure_score(tune: TuneSection, study: Study) -> float:
 
 
 def score(tune: TuneSection, values: NDArray) -> float:
-    """Return the objective of some runs, in the unit of their values.
-
-    Args:
-        tune: the objective.
-        values: (variants, draws), from `run_values`.
-    """
+    """Return the objective of some runs, (variants, draws) `run_values`, in their unit."""
     by_variant = _OVER_DRAWS[tune.objective](tune, values)
     worst = tune.objective_across == "worst"
     return float(np.max(by_variant) if worst else np.mean(by_variant))
@@ -95,36 +90,25 @@ def relaxed_values(
         truth: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
-        (runs, 1): settling times into a band with a soft edge, s; final heading errors about the
+        (runs,) settling times into a band with a soft edge, s; final heading errors about the
         bias floor or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the
         band.
     """
     error = outcome.last.phi.z - (0.0 if truth else outcome.floor.phi.z)
     if tune.objective == "final_error":
-        return error[:, None] / ARCMIN
-    band = _band_index(tune, criteria)
+        return error / ARCMIN
+    band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
     if tune.objective == "failure_rate":
-        return jax.vmap(partial(outside, criteria))(error)[:, band, None]
-    return outcome.outside_until[:, TRUTH if truth else FLOOR, band, None]
-
-
-def _band_index(tune: TuneSection, criteria: Criteria) -> Array:
-    """Return the number of the objective's band."""
-    return jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
+        return jax.vmap(partial(outside, criteria))(error)[:, band]
+    return outcome.outside_until[:, TRUTH if truth else FLOOR, band]
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:
     """Return the smooth objective of some points, and its derivatives by the runs' values.
 
     A quantile is Harrell and Davis's (1982), a weighted mean of all values; the worst variant is
-    approximated by the power mean of order 16.
-
-    Args:
-        tune: the objective.
-        values: (points, variants, draws).
-
-    Returns:
-        The objective (points,) and its derivatives (points, variants, draws).
+    approximated by the power mean of order 16. Of (points, variants, draws) values it returns the
+    objective (points,) and its derivatives (points, variants, draws).
     """
     weights = np.full(values.shape[-1], 1 / values.shape[-1])
     if tune.objective == "settle_quantile":

@@ -40,9 +40,6 @@ SEARCH_LABELS = {
 }
 """Names of searches, of the baseline and of the law's reset schedule, in words."""
 
-MARKER_ORDER = list(SEARCH_LABELS)
-"""Searches in the order of their markers."""
-
 _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
 

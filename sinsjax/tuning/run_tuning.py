@@ -7,7 +7,7 @@ new seed. Complete stages are kept when a tuning run is resumed.
 
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import SearchResult, is_tuning, load_stored_study
 from sinsjax.tuning.law_point import law_point
-from sinsjax.tuning.search import SearchSession, Watch
+from sinsjax.tuning.search import SearchSession, ShowProgress
 
 TUNED, EVALUATION = "tuned.toml", "evaluation"
 LAW = "law"
@@ -72,45 +72,35 @@ def prepare_tuning(
     return job
 
 
-def run_tuning(
-    job: Job, *, watch: Watch | None = None, stop: threading.Event | None = None
-) -> None:
+def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | None = None) -> None:
     """Run the searches of a prepared tuning run, evaluate them, and write the tuned study.
 
     Args:
         job: from `prepare_tuning`.
-        watch: gives the progress callback for the name of a search.
+        show_progress: gives the progress callback for the name of a search.
         stop: event that ends the tuning run; complete stages are kept.
 
     Raises:
         InputError: the directory cannot be written, or another process has written there.
         StudyInterrupted: ``stop`` was set.
     """
-    session = SearchSession(job, watch or (lambda name: nullcontext()), stop or threading.Event())
-    lock = places.lock_directory(session.directory)
-    try:
+    session = SearchSession(job, show_progress, stop or threading.Event())
+    study, directory = job.study, session.directory
+    with places.lock_directory(directory):
         # Again, since the directory may have changed before it was locked.
-        check_directory(session.directory, overwrite=job.overwrite, resume=job.resume)
-        _search_and_evaluate(job.study, session)
-    finally:
-        lock.release()
-
-
-def _search_and_evaluate(study: Study, session: SearchSession) -> None:
-    directory, space = session.directory, SearchSpace.from_study(study)
-    known = _prepare_directory(study, space, session)
-    results: list[SearchResult] = []
-    for name in require_tune(study).searches:
-        results.append(_run_search(study, space, name, session, known))
-        history.write_history(directory, study, results)
-    best = min(results, key=lambda result: result.best.objective)
-    _evaluate_best_points(study, space, results, best.best.candidate, session)
-    tuned = make_tuned_study(study, best.point(space))
-    text = (
-        "" if study.is_recorded else "# The seed is new: its draws neither tuned nor evaluated.\n"
-    )
-    with atomic_write(directory / TUNED) as file:
-        file.write(f"{text}{study_to_toml(tuned)}".encode())
+        check_directory(directory, overwrite=job.overwrite, resume=job.resume)
+        known, results = _prepare_directory(study, session), list[SearchResult]()
+        for name in require_tune(study).searches:
+            results.append(_run_search(study, name, session, known))
+            history.write_history(directory, study, results)
+        best = min(results, key=lambda result: result.best.objective)
+        _evaluate_best_points(study, results, best.best.candidate, session)
+        tuned = make_tuned_study(study, best.point(SearchSpace.from_study(study)))
+        text = study_to_toml(tuned)
+        if not study.is_recorded:
+            text = f"# The seed is new: its draws neither tuned nor evaluated.\n{text}"
+        with atomic_write(directory / TUNED) as file:
+            file.write(text.encode())
 
 
 def make_tuned_study(study: Study, point: TomlTable) -> Study:
@@ -133,12 +123,7 @@ def require_tune(study: Study) -> TuneSection:
 
 
 def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
-    """Reject a directory that holds a tuning run, unless it may be used, or foreign files.
-
-    Args:
-        directory: directory of the tuning run, which may be missing.
-        overwrite: whether a tuning run may be replaced.
-        resume: whether a tuning run may be continued.
+    """Reject a directory with foreign files, or a tuning run that may be neither used nor replaced.
 
     Raises:
         InputError: the directory cannot be used.
@@ -156,37 +141,34 @@ def check_directory(directory: Path, *, overwrite: bool, resume: bool) -> None:
         )
 
 
-def _prepare_directory(
-    study: Study, space: SearchSpace, session: SearchSession
-) -> list[SearchResult]:
-    """Prepare the directory; return the searches of its history when resuming."""
-    directory, known = session.directory, []
+def _prepare_directory(study: Study, session: SearchSession) -> list[SearchResult]:
+    """Prepare the directory; return the searches of its history when resuming.
+
+    Raises:
+        InputError: a search is gone, whose points are evaluated, or a file cannot be written.
+    """
+    directory, known = session.directory, list[SearchResult]()
     try:
         for path in places.stale_temp_files(directory):
             path.unlink()
-        if session.job.resume and (directory / history.FILE).exists():
-            with suppress(DamagedError):  # its searches are repeated, from the stored parts
-                known = history.read_searches(directory, space)
-            _refuse_gone_searches(directory, study, known)
-        elif not session.job.resume:
+        if not session.job.resume:
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)
+        elif (directory / history.FILE).exists():
+            with suppress(DamagedError):  # its searches are repeated, from the stored parts
+                known = history.read_searches(directory, SearchSpace.from_study(study))
     except OSError as error:
         raise InputError(unwritable_message(directory, error)) from error
+    for result in known:
+        if result.search not in require_tune(study).searches:
+            raise InputError(
+                f"{directory}: has the search '{result.search}', which {gone.MARK}"
+                " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
+            )
     history.write_history(directory, study, known)
     with atomic_write(directory / STUDY) as file:
         file.write(study_to_toml(study).encode())
     return known
-
-
-def _refuse_gone_searches(directory: Path, study: Study, known: list[SearchResult]) -> None:
-    """Refuse to continue a tuning run with searches that are gone, whose points it evaluates."""
-    removed = [found.search for found in known if found.search not in require_tune(study).searches]
-    if removed:
-        raise InputError(
-            f"{directory}: has the search '{removed[0]}', which {gone.MARK}"
-            " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
-        )
 
 
 def _check_same_study(job: Job) -> None:
@@ -205,11 +187,7 @@ def _check_same_study(job: Job) -> None:
 
 
 def _run_search(
-    study: Study,
-    space: SearchSpace,
-    name: str,
-    session: SearchSession,
-    known: Sequence[SearchResult],
+    study: Study, name: str, session: SearchSession, known: Sequence[SearchResult]
 ) -> SearchResult:
     """Run a search, or return it from the known ones."""
     settings = require_tune(study)
@@ -217,16 +195,15 @@ def _run_search(
         done = [result for result in known if result.search == name]
         return done[0] if done else _descend(study, session)
     if name == "grid":
-        design = search.grid_design(space, settings.grid_points)
+        design = search.grid_design(study, settings.grid_points)
     else:
-        counts = [settings.sobol_points] * len(space.combinations)
-        design = search.sobol_design(space, counts, search.search_seed(study, name))
+        design = search.sobol_design(study, name, settings.sobol_points)
     return search.evaluate_design(study, name, search.add_law_points(study, design), session)
 
 
 def _descend(study: Study, session: SearchSession) -> SearchResult:
     """Run the gradient search, which stores nothing but its history."""
-    with session.watch(GRADIENT) as on_progress:
+    with session.show_progress(GRADIENT) as on_progress:
 
         def report_or_stop(progress: RunProgress) -> None:
             if session.stop.is_set():
@@ -238,17 +215,13 @@ def _descend(study: Study, session: SearchSession) -> SearchResult:
 
 
 def _evaluate_best_points(
-    study: Study,
-    space: SearchSpace,
-    results: Sequence[SearchResult],
-    candidate: int,
-    session: SearchSession,
+    study: Study, results: Sequence[SearchResult], candidate: int, session: SearchSession
 ) -> None:
     """Run the best points, the baseline and the law's schedule on draws not used for tuning.
 
-    The law's schedule is that of a combination of candidates.
+    The law's schedule is that of a combination of candidates. Equal points are run once.
     """
-    baseline = with_point(study, require_tune(study).baseline)
+    space, baseline = SearchSpace.from_study(study), with_point(study, require_tune(study).baseline)
     points = {result.search.replace("_", " "): result.point(space) for result in results}
     if (box := law_point(study, candidate)) is not None:
         values = space.to_values(np.nan_to_num(box))

@@ -6,7 +6,7 @@ an ordinary results directory.
 """
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from itertools import product
 from pathlib import Path
@@ -26,12 +26,11 @@ from sinsjax.study.load import study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import Sweep
-from sinsjax.study.sweep_columns import Dimension
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.law_point import law_point
 
-Watch = Callable[[str], AbstractContextManager[ProgressCallback | None]]
+ShowProgress = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 """(name of a search) -> context with its progress callback, if any."""
 
 _SEEDS = 2**63
@@ -42,12 +41,12 @@ class SearchSession(NamedTuple):
 
     Attributes:
         job: prepared job of the tuning run.
-        watch: gives the progress callback for the name of a search.
+        show_progress: gives the progress callback for the name of a search.
         stop: event that ends the tuning run.
     """
 
     job: Job
-    watch: Watch
+    show_progress: ShowProgress
     stop: threading.Event
 
     @property
@@ -58,7 +57,7 @@ class SearchSession(NamedTuple):
 
     def run(self, study: Study, name: str) -> Path:
         """Run a study without curves into a subdirectory; return its path."""
-        with self.watch(name) as on_progress:
+        with self.show_progress(name) as on_progress:
             run_job(make_subjob(self.job, study, name), on_progress=on_progress, stop=self.stop)
         return self.directory / name
 
@@ -78,48 +77,37 @@ class Design(NamedTuple):
     box: NDArray
 
 
-def grid_design(space: SearchSpace, points: int) -> Design:
-    """Return all points of a grid including the ends, the last variable fastest.
-
-    Args:
-        space: search space of the study.
-        points: number of points per variable.
-    """
+def grid_design(study: Study, points: int) -> Design:
+    """Return the grid with so many points per variable, ends included, the last one fastest."""
     places = np.linspace(0.0, 1.0, points)
 
     def draw_points(_: int, count: int) -> NDArray:
         return np.array(list(product(places, repeat=count))).reshape(-1, count)
 
-    return _design(space, draw_points)
+    return _design(study, draw_points)
 
 
-def sobol_design(space: SearchSpace, counts: Sequence[int], seed: np.random.SeedSequence) -> Design:
-    """Return scrambled Sobol points.
+def sobol_design(study: Study, name: str, points: int) -> Design:
+    """Return so many scrambled Sobol points per combination of candidates.
 
-    Args:
-        space: search space of the study.
-        counts: number of points for each combination.
-        seed: seed of the scrambling.
+    The study's seed and the name of the search determine them; more do not change the first.
     """
     from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
-    seeds = seed.spawn(len(counts))
+    seed = np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
+    seeds = seed.spawn(len(SearchSpace.from_study(study).combinations))
 
     def draw_points(number: int, count: int) -> NDArray:
         engine = qmc.Sobol(count, rng=np.random.Generator(np.random.PCG64(seeds[number])))
         # A single point first, because scipy warns if the first call is not for 2^m points.
-        return np.concatenate([engine.random(1), engine.random(counts[number] - 1)])
+        return np.concatenate([engine.random(1), engine.random(points - 1)])
 
-    return _design(space, draw_points)
+    return _design(study, draw_points)
 
 
-def _design(space: SearchSpace, draw_points: Callable[[int, int], NDArray]) -> Design:
-    """Return the design with the points of every combination.
-
-    Args:
-        space: search space of the study.
-        draw_points: (number of a combination, number p of its variables) -> (n, p) points.
-    """
+def _design(study: Study, draw_points: Callable[[int, int], NDArray]) -> Design:
+    """Return the design of points drawn by (combination, number p of variables) -> (n, p)."""
+    space = SearchSpace.from_study(study)
     candidates, boxes = [], []
     for number, combination in enumerate(space.combinations):
         used = space.used_variables(combination)
@@ -132,21 +120,11 @@ def _design(space: SearchSpace, draw_points: Callable[[int, int], NDArray]) -> D
 
 
 def add_law_points(study: Study, design: Design) -> Design:
-    """Return a design that begins with the points of the law's reset schedules.
-
-    Args:
-        study: study with [tune].
-        design: points of a search.
-    """
+    """Return a design that begins with the points of the law's reset schedules."""
     points = {number: law_point(study, number) for number in np.unique(design.candidate).tolist()}
     found = {number: box for number, box in points.items() if box is not None}
     candidate = np.array([*found, *design.candidate], design.candidate.dtype)
     return Design(candidate, np.array([*found.values(), *design.box]))
-
-
-def search_seed(study: Study, name: str) -> np.random.SeedSequence:
-    """Return the seed of a search, from the study's seed and the name of the search."""
-    return np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
 
 
 # Scores of points
@@ -155,95 +133,71 @@ def search_seed(study: Study, name: str) -> np.random.SeedSequence:
 def evaluate_design(
     study: Study, name: str, design: Design, session: SearchSession
 ) -> SearchResult:
-    """Evaluate the points of a design on the tuning draws.
-
-    Args:
-        study: study with [tune].
-        name: name of the search and of its results directory.
-        design: points; those with equal keys are run once.
-        session: settings.
+    """Evaluate the points of a design on the tuning draws, in a directory with the search's name.
 
     Raises:
         InputError: the directory cannot be used, or the record does not fit.
         StudyInterrupted: the session was stopped.
     """
-    tune, space = study.tune, SearchSpace.from_study(study)
-    assert tune is not None
-    values = np.array(space.to_values(design.box.T)).T if space.variables else design.box
-    points = [
-        space.make_point(list(np.nan_to_num(row)), space.combinations[candidate])
-        for row, candidate in zip(values, design.candidate, strict=True)
-    ]
-    names = objective.summary_columns(tune, study)
-
-    def run_cases(derived: Study) -> NDArray:
-        table = results.read_summary(session.run(derived, name), names)
-        return objective.run_values(tune, derived, table)
-
-    scored = score_points(study, name, points, run_cases)
-    case_cost = total_steps(scored.derived) // len(scored.derived.cases)
-    costs = case_cost * (np.maximum.accumulate(scored.cases) + 1)
-    return SearchResult(
+    assert study.tune is not None
+    space, names = SearchSpace.from_study(study), objective.summary_columns(study.tune, study)
+    values, candidates = [space.to_values(box) for box in design.box], design.candidate.tolist()
+    scored = score_points(
+        study,
         name,
-        [
-            Evaluation(number, int(candidate), list(row), score, int(so_far))
-            for number, (candidate, row, score, so_far) in enumerate(
-                zip(design.candidate, values, scored.scores, costs, strict=True)
-            )
-        ],
+        candidates,
+        values,
+        lambda derived: results.read_summary(session.run(derived, name), names),
     )
+    rows = zip(candidates, values, scored.scores, scored.costs, strict=True)
+    return SearchResult(name, [Evaluation(number, *row) for number, row in enumerate(rows)])
 
 
 class PointScores(NamedTuple):
-    """Scores of some points.
-
-    Attributes:
-        scores: the objective of each point.
-        derived: study of the runs, each distinct point being a case.
-        cases: (points,) number of the case of each point.
-    """
+    """The objective of each point, and the steps so far; equal points cost nothing."""
 
     scores: list[float]
-    derived: Study
-    cases: NDArray
+    costs: list[int]
 
 
 def score_points(
     study: Study,
     name: str,
-    points: Sequence[TomlTable],
-    run_cases: Callable[[Study], NDArray],
+    candidates: Iterable[int],
+    values: Iterable[Sequence[float]],
+    run_cases: Callable[[Study], pa.Table],
 ) -> PointScores:
-    """Score some points; equal ones are run once.
+    """Score some points; each distinct one is a case of a study.
 
     Args:
         study: study with [tune].
         name: name of the search.
-        points: points with the same keys.
-        run_cases: gives the values of a study's runs, as `objective.run_values`.
+        candidates: number of the combination of candidates of each point.
+        values: values of the variables of each point; NaN for unused variables.
+        run_cases: runs a study; gives its summary, with `objective.summary_columns`.
     """
     assert study.tune is not None
+    space = SearchSpace.from_study(study)
     cases: dict[str, TomlTable] = {}
     case_of: dict[tuple[Any, ...], int] = {}
-    numbers = np.empty(len(points), int)
-    for number, point in enumerate(points):
-        numbers[number] = case_of.setdefault(tuple(point.values()), len(cases))
-        if numbers[number] == len(cases):
-            cases[f"{name} {number}"] = point
+    numbers: list[int] = []
+    for candidate, row in zip(candidates, values, strict=True):
+        point = space.make_point(list(np.nan_to_num(row)), space.combinations[candidate])
+        number = case_of.setdefault(tuple(point.values()), len(cases))
+        if number == len(cases):
+            cases[f"{name} {len(numbers)}"] = point
+        numbers.append(number)
     derived = derive_study(study, cases, name=f"{study.name}_{name}")
-    values = run_cases(derived)
-    by_case = values.reshape(len(cases), -1, values.shape[-1])
+    by_case = point_values(study, derived, run_cases(derived))
     scores = [objective.score(study.tune, by_case[number]) for number in numbers]
-    return PointScores(scores, derived, numbers)
+    costs = total_steps(derived) // len(cases) * (np.maximum.accumulate(numbers) + 1)
+    return PointScores(scores, costs.tolist())
 
 
 def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
     """Return the values of all runs for the objective, (points, variants, draws).
 
-    Args:
-        study: study with [tune].
-        derived: study of the runs, whose cases are the points.
-        table: `objective.summary_columns` of its summary.
+    The points are the cases of the derived study, and the table has `objective.summary_columns`.
     """
     assert study.tune is not None
     values = objective.run_values(study.tune, derived, table)
@@ -266,15 +220,14 @@ def derive_study(
 ) -> Study:
     """Return the study of some points on the tuning draws, or on those for evaluation.
 
+    It has no [tune]; the points are its outermost dimension, and its own axes are swept at each.
+    Draws for evaluation are those of another seed, or the other start times of a record.
+
     Args:
-        study: study with [tune]; its own axes are swept at every point.
+        study: study with [tune].
         points: points with the same keys, by the label of their case.
         name: name of the new study.
-        evaluation: whether to use the evaluation draws: those of another seed, or the other start
-            times of a record.
-
-    Returns:
-        A study without [tune], with the points as its outermost dimension.
+        evaluation: whether to use the evaluation draws.
     """
     tune = study.tune
     assert tune is not None
@@ -291,20 +244,11 @@ def derive_study(
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
         tables["drawn"] = sampling.truncate_drawn_table(study.drawn, count)
-    axis = {key: values for key, values in _study_cases(study).items() if key != "case"}
-    if axis:  # the labels are now those of the points
-        tables["axes"] = tables.get("axes", {}) | {_unused_axis_name(study): axis}
+    cases = Sweep(cases=study.cases).dimensions[0] if study.cases else {}
+    if axis := {key: values for key, values in cases.items() if key != "case"}:
+        zipped = "cases"  # without their labels, which are now those of the points
+        while zipped in study.zips:
+            zipped += "_"
+        tables["axes"] = tables.get("axes", {}) | {zipped: axis}
     tables["cases"] = [{"case": label} | point for label, point in points.items()]
     return study_from_dict(tables, name)
-
-
-def _study_cases(study: Study) -> Dimension:
-    return Sweep(cases=study.cases).dimensions[0] if study.cases else {}
-
-
-def _unused_axis_name(study: Study) -> str:
-    """Return a name for the table of axes that a study's cases become."""
-    name = "cases"
-    while name in study.zips:
-        name += "_"
-    return name

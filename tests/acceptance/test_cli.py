@@ -1,7 +1,10 @@
-"""Commands as a user types them: their results, and one clear line for every mistake."""
+"""Commands as a user types them: their results, their end, and one line for every mistake."""
 
 import json
-from collections.abc import Callable
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,67 +12,47 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import tomli_w
-from support.commands import Command, command_line
-from support.studies import BASE, small_study, swing_deg, with_paper_values
+from support.commands import Command
+from support.stored_results import store_results
+from support.studies import small_study, small_tables, swing_deg
 from support.sweep_directories import read_files_and_times
 
+from sinsjax import cli, console
 from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.execution import run
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.records import (
-    Record,
-    write_psins,
-)
+from sinsjax.records import write_psins
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
-
-@pytest.fixture
-def sinsjax(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run a command line in this process; gives exit code, output and error output."""
-    return command_line(monkeypatch, capsys)
-
-
-def write_study(folder: Path, **changes: Any) -> Path:
-    """A small study file with sections changed; a key set to None is left out."""
-    data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
-    for name, change in changes.items():
-        if change is None:
-            del data[name]
-        elif isinstance(change, dict):
-            merged = data.get(name, {}) | change
-            data[name] = {key: value for key, value in merged.items() if value is not None}
-        else:
-            data[name] = change
-    path = folder / "study.toml"
-    path.write_text(tomli_w.dumps(with_paper_values(data)), encoding="utf-8")
-    return path
-
-
-TWO: dict[str, Any] = {
-    "axes": {"phi_u0_deg": [0.0, 30.0]},
-    "resets": {"reset_times_s": [2.5]},
-}
+TWO: dict[str, Any] = {"axes": {"phi_u0_deg": [0.0, 30.0]}, "resets": {"reset_times_s": [2.5]}}
 """Two variants, 6 runs: tests share the compiled program."""
 
-RECORDED: dict[str, Any] = {
-    "study": {"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
-    "motion": None,
-    "sensors": None,
-    "alignment": {"phi_e0_deg": 1.0, "phi_n0_deg": 0.0, "phi_u0_deg": 3.0},
-    "record": {"format": "psins", "start_s": [0.0, 1.0]},
-    "coarse": {"coarse_duration_s": 3.0},
-}
+
+def write_study(name: str = "study.toml", **changes: Any) -> Path:
+    """Write a small study file with sections changed; one set to None is left out."""
+    tables = {key: table for key, table in small_tables(**changes).items() if table is not None}
+    Path(name).write_text(tomli_w.dumps(tables), encoding="utf-8")
+    return Path(name)
 
 
-@pytest.fixture(scope="module")
-def record() -> Record:
-    return simulated_record(small_study())
+def write_recorded_study() -> Path:
+    """Write a study of a record of the simulated swing, and the record."""
+    write_psins(simulated_record(small_study()), Path("swing.imu"))
+    return write_study(
+        "recorded.toml",
+        study={"duration_s": 2.0, "draws": None, "window_s": [0, 2]},
+        motion=None,
+        sensors=None,
+        record={"format": "psins", "start_s": [0.0, 1.0]},
+        coarse={"coarse_duration_s": 3.0},
+    )
 
 
-def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_path: Path) -> None:
-    config = write_study(tmp_path, **TWO)
-    out = tmp_path / "out"
-    code, told, _ = sinsjax("run", config, "-o", out)
+def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command) -> None:
+    out = Path("out")
+    code, told, _ = sinsjax("run", write_study(**TWO), "-o", out)
     assert code == 0
     summary, curves = read_summary(out), read_curves(out)
     assert summary["run_id"].to_pylist() == list(range(6))
@@ -83,146 +66,233 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command, tmp_p
     assert code == 0 and "phi_u0_deg" in told
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["runs"] == manifest["runs_done"] == 6 and manifest["seed"] == 1
-    assert (manifest["state"], manifest["config"]) == ("complete", config.name)
-    assert manifest["devices"] == 2
-    assert manifest["devices_are"] == "threads over one program"
+    assert (manifest["state"], manifest["config"]) == ("complete", "study.toml")
+    assert (manifest["devices"], manifest["devices_are"]) == (2, "threads over one program")
     assert manifest["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
 
 
-def test_existing_results_are_overwritten_only_on_request(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, **TWO), tmp_path / "out"
-    assert sinsjax("sweep", config, "-o", out)[0] == 0
+def test_existing_results_are_overwritten_only_on_request(sinsjax: Command) -> None:
+    words, out = ("sweep", write_study(**TWO), "-o", "out"), Path("out")
+    assert sinsjax(*words)[0] == 0
     before = (out / "manifest.json").read_bytes()
-    code, _, error = sinsjax("sweep", config, "-o", out)
-    assert (code, error.count("\n")) == (2, 1)
-    assert str(out) in error and "--overwrite" in error
+    code, _, error = sinsjax(*words)
+    assert (code, error.count("\n")) == (2, 1) and "out" in error and "--overwrite" in error
     assert (out / "manifest.json").read_bytes() == before
     (out / "notes.txt").write_text("mine")
-    assert sinsjax("sweep", config, "-o", out, "--overwrite")[0] == 0
+    assert sinsjax(*words, "--overwrite")[0] == 0
     assert (out / "notes.txt").read_text() == "mine"
 
 
-def test_resume_computes_only_missing_runs(sinsjax: Command, tmp_path: Path) -> None:
-    config, out = write_study(tmp_path, **TWO, study={"draws": 100}), tmp_path / "out"
-    words = ("sweep", config, "-o", out, "--resume")
+def test_resume_computes_only_missing_runs(sinsjax: Command) -> None:
+    words = ("sweep", write_study(**TWO, study={"draws": 100}), "-o", "out", "--resume")
     code, told, _ = sinsjax(*words, "--chunk-runs", 64)
-    assert code == 0 and f"{out}: no results to resume, all runs are new." in told
-    before = read_files_and_times(out)
-    lost, *kept = sorted(out.glob("summary/*.parquet"))
-    assert len(kept) == 1
+    assert code == 0 and "out: no results to resume, all runs are new." in told
+    before = read_files_and_times(Path("out/summary"))
+    lost, kept = sorted(Path("out/summary").glob("*.parquet"))
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "no results to resume" not in told
-    assert "study: 72 of 200 runs already done" in told
-    assert "study: 200 of 200 runs" in told
-    assert {k: v[0] for k, v in read_files_and_times(out).items() if "summary" in k} == {
-        k: v[0] for k, v in before.items() if "summary" in k
+    assert code == 0 and "study: 72 of 200 runs already done" in told
+    after = read_files_and_times(Path("out/summary"))
+    assert {name: content for name, (content, _) in after.items()} == {
+        name: content for name, (content, _) in before.items()
     }
-    assert kept[0].stat().st_mtime_ns == before[str(kept[0].relative_to(out))][1]
-    code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 200 of 200 runs already done" in told
-    assert "study: 200 runs in" in told
-
-
-def test_invalid_executor_options_are_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
-    words = ("sweep", write_study(tmp_path), "-o", tmp_path / "out")
-    address = ("--scheduler", "tcp://127.0.0.1:1")
-    none = tmp_path / "out"
-    assert_refused(sinsjax(*words, "--devices", 1, *address), none, "--devices")
-    assert_refused(sinsjax(*words, "--devices", 4096), none, "--devices", "4096")
-
-
-def test_page_names_study_file_and_set_overrides(
-    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine").mkdir()
-    config = write_study(tmp_path / "mine", **TWO).relative_to(tmp_path)
-    assert sinsjax("sweep", config, "-o", "out", "--set", "study.seed=3")[0] == 0
-    assert sinsjax("report", "out", "--html", "page.html")[0] == 0
-    assert "<p>mine/study.toml with study.seed=3; " in Path("page.html").read_text()
+    assert after[kept.name] == before[kept.name]
+    assert "study: 200 of 200 runs already done" in sinsjax(*words)[1]
 
 
 @pytest.mark.nightly
-def test_align_with_reference_reports_true_misalignment(
-    sinsjax: Command, tmp_path: Path, record: Record
-) -> None:
+def test_align_with_reference_reports_true_misalignment(sinsjax: Command) -> None:
     """The reference is the true attitude of the simulated swing, so phi is the true error."""
-    write_psins(record, tmp_path / "swing.imu")
     times = np.arange(0, 6.01, 0.01)
-    rows = np.column_stack([times, swing_deg(times)])
-    header = "time_s,pitch_deg,roll_deg,yaw_deg"
-    np.savetxt(tmp_path / "true.csv", rows, delimiter=",", header=header, comments="")
-    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
-    words = ("align", tmp_path / "swing.imu", config, "--reference", tmp_path / "true.csv")
-    assert sinsjax(*words, "-o", out)[0] == 0
-    summary = read_summary(out)
-    truth = 10 + 2.8 * np.sin(2 * np.pi * np.array([5.0, 6.0]) / 10)
-    error = np.array(summary["yaw_deg"]) - truth
+    rows, header = np.column_stack([times, swing_deg(times)]), "time_s,pitch_deg,roll_deg,yaw_deg"
+    np.savetxt("true.csv", rows, delimiter=",", header=header, comments="")
+    words = ("align", "swing.imu", write_recorded_study(), "--reference", "true.csv")
+    assert sinsjax(*words, "-o", "out")[0] == 0
+    summary = read_summary("out")
+    error = np.array(summary["yaw_deg"]) - swing_deg(np.array([5.0, 6.0]))[:, 2]
     # phi is the vector of C_true C_hat^T: about minus the error in yaw for small level angles.
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
-MISTAKES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
-    "misspelt key": ({"alignment": {"phi_u0_degs": 3}}, ("phi_u0_degs", "phi_u0_deg")),
-    "no heading": ({"motion": {"yaw_center_deg": None}}, ("yaw_center_deg", "required")),
-}
-
-
-@pytest.mark.parametrize("name", MISTAKES)
-def test_invalid_study_is_refused_in_one_line(sinsjax: Command, tmp_path: Path, name: str) -> None:
-    changes, named = MISTAKES[name]
-    config, out = write_study(tmp_path, **changes), tmp_path / "out"
-    assert_refused(sinsjax("sweep", config, "-o", out), out, str(config), *named)
-
-
-SPOILT: dict[str, tuple[Callable[[list[str]], list[str]], tuple[str, ...]]] = {
-    "NaN": (lambda lines: [*lines[:299], "1 2 nan 4 5 6", *lines[300:]], ("row 300", "nan")),
-    "too short": (lambda lines: lines[:500], ("5",)),
-}
-
-
-@pytest.mark.parametrize("name", SPOILT)
-def test_corrupt_record_is_refused_in_one_line(
-    sinsjax: Command, tmp_path: Path, record: Record, name: str
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("sweep wrong.toml", "wrong.toml: [alignment] phi_u0_degs:"),
+        ("sweep no.toml", "no.toml"),
+        ("sweep recorded.toml", "align"),
+        ("sweep nested.toml", "nested.toml: is nested too deeply"),
+        ("sweep study.toml --devices 4096", "--devices: 4096"),
+        ("sweep study.toml --devices 1 --scheduler tcp://127.0.0.1:1", "--devices: conflicts"),
+        ("align swing.imu study.toml", "[record]"),
+        ("align no.imu recorded.toml", "no.imu"),
+        ("align nan.imu recorded.toml", "nan.imu: row 300"),
+        ("align short.imu recorded.toml", "short.imu: has 4.96 s"),
+    ],
+)
+def test_mistake_is_refused_in_one_line_and_leaves_no_results(
+    sinsjax: Command, words: str, named: str
 ) -> None:
-    change, named = SPOILT[name]
-    path = tmp_path / "swing.imu"
-    write_psins(record, path)
-    lines = change(path.read_text().splitlines())
-    path.write_text("".join(f"{line}\n" for line in lines))
-    config, out = write_study(tmp_path, **RECORDED), tmp_path / "out"
-    assert_refused(sinsjax("align", path, config, "-o", out), out, str(path), *named)
-
-
-def test_missing_file_or_wrong_command_is_refused_in_one_line(
-    sinsjax: Command, tmp_path: Path, record: Record
-) -> None:
-    out = tmp_path / "out"
-    config = write_study(tmp_path)
-    assert_refused(sinsjax("sweep", tmp_path / "no.toml", "-o", out), out, "no.toml")
-    assert_refused(sinsjax("report", tmp_path / "nothing"), out, "nothing")
-    assert_refused(sinsjax("align", tmp_path / "no.imu", config, "-o", out), out, "[record]")
-    recorded = write_study(tmp_path, **RECORDED)
-    assert_refused(sinsjax("align", tmp_path / "no.imu", recorded, "-o", out), out, "no.imu")
-    assert_refused(sinsjax("sweep", recorded, "-o", out), out, "align")
-
-
-def test_unwritable_output_is_refused_in_one_line(sinsjax: Command, tmp_path: Path) -> None:
-    config = write_study(tmp_path)
-    (tmp_path / "file").write_text("in the way")
-    for out in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / ("x" * 300)):
-        assert_refused(sinsjax("sweep", config, "-o", out), tmp_path / "none", str(out))
-    assert (tmp_path / "file").read_text() == "in the way"
-
-
-def assert_refused(told: tuple[int, str, str], out: Path, *named: str) -> None:
-    """Check for exit code 2, one line that names the mistake, no traceback, no files."""
-    code, _, error = told
-    assert code == 2, error
+    write_study()
+    write_study("wrong.toml", alignment={"phi_u0_degs": 3})
+    Path("nested.toml").write_text("x." * 3000 + "x = 1")
+    write_recorded_study()
+    lines = Path("swing.imu").read_text().splitlines(keepends=True)
+    Path("short.imu").write_text("".join(lines[:500]))
+    Path("nan.imu").write_text("".join([*lines[:299], "1 2 nan 4 5 6 7\n", *lines[300:]]))
+    code, _, error = sinsjax(*words.split(), "-o", "out")
     (line,) = [line for line in error.splitlines() if not line.startswith("Warning: ")]
-    assert line.startswith("error: "), error
-    assert "Traceback" not in error
-    for word in named:
-        assert word in error, (word, error)
+    assert code == 2 and line.startswith("error: ") and named in line
+    assert not Path("out").exists()
+
+
+def test_unwritable_output_is_refused_in_one_line(sinsjax: Command) -> None:
+    Path("file").write_text("in the way")
+    for out in ("file", "file/below", "x" * 300):
+        code, _, error = sinsjax("sweep", write_study(), "-o", out)
+        assert code == 2 and error.splitlines()[-1].startswith(f"error: {out}")
+    assert Path("file").read_text() == "in the way"
+
+
+@pytest.mark.parametrize("command", ["report", "rerun --run-id 0"])
+def test_odd_results_are_refused_in_one_line(sinsjax: Command, command: str) -> None:
+    out = store_results(Path("out"), small_study(), pa.table({"run_id": [0]}))
+    texts = {name: (out / name).read_text() for name in ("study.toml", "manifest.json")}
+    for name, text, reason in (
+        ("study.toml", "x = " + "[" * 60 + "]" * 60, "is nested too deeply"),
+        ("manifest.json", "[" * 20_000, "has changed"),
+        ("manifest.json", '{"config":' + "[" * 60 + "]" * 60 + "}", "has changed"),
+    ):
+        (out / name).write_text(text)
+        code, _, error = sinsjax(*command.split(), out)
+        assert (code, error.count("\n")) == (2, 1)
+        assert error.startswith(f"error: {out}/{name}: {reason}")
+        (out / name).write_text(texts[name])
+    assert not (out / "reruns").exists()
+
+
+def test_rerun_refuses_summary_with_two_rows_of_one_run(sinsjax: Command) -> None:
+    store_results(Path("out"), small_study(), pa.table({"run_id": [0, 0, 1, 1]}))
+    code, _, error = sinsjax("rerun", "out", "--run-id", 1)
+    assert code == 2 and error.startswith("error: out: has 2 rows of run 1 (")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
+def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
+    sinsjax: Command,
+) -> None:
+    out = Path(os.fsdecode(b"o\xff"))
+    line = r"o\udcff: results cannot be stored under a name that is not UTF-8 (rename it)"
+    with pytest.raises(InputError, match=re.escape(line)):
+        run.run_into(small_study(), out)
     assert not out.exists()
+    store_results(Path("out"), small_study(), pa.table({"run_id": [0]})).rename(out)
+    for words in (("tune", "tune_condition5", "-o"), ("report",), ("rerun", "--run-id", 0)):
+        assert sinsjax(*words, out) == (2, "", f"error: {line}\n")
+
+
+# --- where output goes, and how a command ends ---------------------------------------------------
+
+
+def test_missing_standard_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon's standard streams are None in Python."""
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit) as stop, console.tolerate_broken_pipe():
+        print("lost")
+        sys.stdout.flush()
+    assert stop.value.code == 0
+
+
+def test_sweep_and_report_finish_after_broken_pipe(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with ``| head -1``: the sweep continues to its end, with figures and tables."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = []
+
+    def finished(*_: Any, **options: Any) -> None:
+        for runs in range(1, 4):
+            options["on_progress"](run.RunProgress(runs, 3, 0, 0))
+        done.append("runs")
+
+    monkeypatch.setattr(run, "run_job", finished)
+    monkeypatch.setattr("sinsjax.report.print_reports", lambda *_, **__: done.append("report"))
+    with open(writing, "w", buffering=1) as closed:
+        monkeypatch.setattr(sys, "stdout", closed)
+        code, _, _ = sinsjax("sweep", write_study(), "-o", "out")
+    assert (done, code) == (["runs", "report"], 0)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("words", ["info", "gains", "--help", "sweep --help"])
+def test_full_disk_on_standard_output_is_reported_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["sinsjax", *words.split()])
+    with open("/dev/full", "w") as full, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", full)
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+    assert stop.value.code == 2
+    line = "error: standard output: cannot be written: No space left on device\n"
+    assert capsys.readouterr().err == line
+
+
+@pytest.mark.nightly
+def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
+    """In a separate process, since JAX starts once."""
+    words, environment = [sys.executable, "-m", "sinsjax", "info"], {"JAX_PLATFORMS": "foo"}
+    done = subprocess.run(words, env=os.environ | environment, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: JAX_PLATFORMS=foo: JAX does not start: ")
+
+
+def test_interrupted_sweep_prints_resume_command(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise StudyInterrupted("1 of 3 runs are in out")
+
+    write_study("my study.toml", study={"success_band_arcmin": 1000.0})
+    monkeypatch.setattr(run, "run_job", interrupted)
+    again = "sinsjax sweep 'my study.toml' -o out --draws 48 --resume"
+    for more in ("--overwrite", "--resume"):
+        code, _, error = sinsjax("sweep", "my study.toml", "-o", "out", "--draws", 48, more)
+        line = f"interrupted: 1 of 3 runs are in out (continue: {again})\n"
+        assert (code, error) == (130, line)
+
+
+def test_keyboard_interrupt_outside_runs_is_reported_in_one_line(
+    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sinsjax.execution.prepare.load_study", interrupted)
+    line = "interrupted: stored results are kept\n"
+    assert sinsjax("sweep", "reset_sweep", "-o", "out") == (130, "", line)
+
+
+ENDING = """
+import atexit, os, sys, threading, time
+
+class Held:
+    def __del__(self):
+        os.abort()
+
+held = Held()
+atexit.register(print, "handlers run")
+threading.Thread(target=lambda: (time.sleep(0.2), print("threads end"))).start()
+sys.argv = ["sinsjax", "keys", "no_such_key"]
+from sinsjax.__main__ import command
+command()
+"""
+
+
+def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
+    """Exit code and output are right, whatever the remaining objects do when destroyed."""
+    ended = subprocess.run([sys.executable, "-c", ENDING], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
+    assert ended.stderr.startswith("error: no_such_key: unknown section, key or method")
+    assert ended.stdout.splitlines() == ["threads end", "handlers run"]

@@ -1,117 +1,60 @@
-"""The first ten minutes: studies by name, templates, checks before a run, help, a wheel alone."""
+"""The first ten minutes: studies by name, templates, changes, checks before a run, help."""
 
 import errno
 import os
+import re
 from pathlib import Path
 
 import pytest
 import tomli_w
-from support.commands import Command, command_line
+from support.commands import Command
 from support.studies import small_tables
 
 import sinsjax as package
-from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS, register_external
 from sinsjax.study import files
-from sinsjax.study.load import load_study
 
 pytestmark = pytest.mark.optimised(False)
 
 ROOT = Path(__file__).parents[2]
 
-WRONG = """
-[study]
-duration_s = "long"
-rate_hz = 100.0
-draws = 0
-seedd = 3
 
-[earth]
-latitude_deg = 200.0
-gravity_m_per_s2 = 980.0
-
-[motion]
-pitch_amplitude_deg = 3.0
-yaw_center_deg = 0.0
-
-[sensors]
-gyro_bias_deg_per_h = [0.1, "b", 0.1]
-
-[filtr]
-p0_yaw_deg = 1.0
-
-[filter]
-q_accel_ug = 500.0
-q_gyro_deg_per_h = 0.1
-q_reading = "per_step"
-
-[axes]
-phi_u0_deg = [0, "x", 400]
-reset_times_s = [[1.0, "x"], [3.0]]
-
-[drawn]
-phi_n0_deg.values = [1.0, "b"]
-
-[[cases]]
-case = "a"
-p0_yaw_deg = -1.0
-
-[[cases]]
-case = "b"
-p0_yaw_deg = 80.0
-"""
-
-
-@pytest.fixture
-def sinsjax(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Command:
-    """Run a command line in this process, in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    return command_line(monkeypatch, capsys)
-
-
-def test_shipped_studies_are_found_by_name(sinsjax: Command) -> None:
+def test_study_is_found_by_name_after_local_files(sinsjax: Command) -> None:
     path = ROOT / "configs" / "reset_sweep.toml"
+    Path("reset_sweep").mkdir()  # results are no study
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
         assert files.find_study_file(name).samefile(path)
-    assert package.load_study("reset_sweep").name == "reset_sweep"
     with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
         package.load_study("reset_sweeps")
+    Path("reset_sweep.toml").write_text("x = 1\n")
+    assert files.find_study_file("reset_sweep").samefile("reset_sweep.toml")
+    for name in ("", "..", "/", "x" * 300, "a/b"):
+        code, _, error = sinsjax("validate", name)
+        assert (code, error.count("\n")) == (2, 1) and "Traceback" not in error
 
 
-def test_local_study_file_precedes_shipped_study(sinsjax: Command, tmp_path: Path) -> None:
-    (tmp_path / "reset_sweep").mkdir()  # results are no study
-    assert files.find_study_file("reset_sweep").samefile(ROOT / "configs" / "reset_sweep.toml")
-    (tmp_path / "reset_sweep.toml").write_text("x = 1\n")
-    assert files.find_study_file("reset_sweep").samefile(tmp_path / "reset_sweep.toml")
-
-
-@pytest.mark.parametrize("name", ["", ".", "..", "/", "x" * 300, "a/b"])
-def test_invalid_study_path_gives_one_line_error(sinsjax: Command, name: str) -> None:
-    code, _, error = sinsjax("validate", name)
-    assert (code, error.count("\n")) == (2, 1) and "Traceback" not in error
-
-
-def test_init_copies_study_file_with_comments(sinsjax: Command, tmp_path: Path) -> None:
+def test_init_copies_study_file_with_comments(sinsjax: Command) -> None:
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
-    copy = tmp_path / "reset_sweep.toml"
-    schema, _, text = copy.read_text().partition("\n")
+    schema, _, text = Path("reset_sweep.toml").read_text().partition("\n")
     assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
     original = (ROOT / "configs" / "reset_sweep.toml").read_text()
     original = original.replace("configs/reset_sweep.toml", "reset_sweep.toml")
     original = original.replace("configs/paper1_conditions.toml", "paper1_conditions")
     assert original == f"#:schema ./schema.json\n#:group first 1\n{text}"
-    code, _, error = sinsjax("init", "tune", "--out", copy)
-    assert (code, error.count("\n")) == (2, 1) and "exists" in error
     code, _, error = sinsjax("init", "reset_swep")
     assert code == 2 and "did you mean reset_sweep?" in error
     code, told, _ = sinsjax("init", "--list")
     assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
-    assert code == 0 and {*files.template_files(), *files.shipped_studies(), *files.GROUPS} - {
-        "first"
-    } <= set(told.split())
+    known = {*files.shipped_studies(), *files.GROUPS, *files.TEMPLATES}
+    assert code == 0 and known <= {*re.findall(r"\w+", told)}
+
+
+@pytest.mark.parametrize("name", files.TEMPLATES)
+def test_templates_are_valid(sinsjax: Command, name: str) -> None:
+    assert sinsjax("init", name)[0] == 0
+    code, told, error = sinsjax("validate", name)
+    assert (code, error) == (0, "") and f"{name}.toml: valid; " in told
 
 
 def test_errors_of_shipped_studies_name_the_study(sinsjax: Command, tmp_path: Path) -> None:
@@ -153,25 +96,14 @@ def test_study_file_is_written_whole_or_not_at_all(
     assert Path("sweep.toml").read_bytes() == written and not Path("nowhere").exists()
 
 
-@pytest.mark.parametrize("name", files.TEMPLATES)
-def test_templates_are_valid(sinsjax: Command, name: str) -> None:
-    assert sinsjax("init", name)[0] == 0
-    code, told, error = sinsjax("validate", name)
-    assert (code, error) == (0, "") and f"{name}.toml: valid; " in told
-
-
-NAMES = {"[study] seedd", "[filtr]"}
-VALUES = {"[axes] phi_u0_deg[1]", "[axes] phi_u0_deg[2]", "[cases] p0_yaw_deg[0]"}
-VALUES |= {"[study] duration_s", "[study] draws", "[earth] latitude_deg"}
-VALUES |= {"[axes] reset_times_s[0][1]", "[drawn] phi_n0_deg.values[1]"}
-VALUES |= {"[sensors] gyro_bias_deg_per_h[1]"}
-
-
-def test_validate_reports_all_errors_of_a_stage(sinsjax: Command, tmp_path: Path) -> None:
+def test_validate_reports_all_errors_of_a_stage(sinsjax: Command) -> None:
     """First those of names; once these are right, those of values."""
-    known = WRONG.replace("seedd", "seed").replace("[filtr]\np0_yaw_deg = 1.0\n", "")
-    for text, places in ((WRONG, NAMES), (known, VALUES)):
-        (tmp_path / "wrong.toml").write_text(text)
+    tables = small_tables(study={"draws": 0}, axes={"phi_u0_deg": [0, "x", 400]})
+    for more, places in (
+        ({"filtr": {}, "seedd": 3}, {"[filtr]", "[seedd]"}),
+        ({}, {"[study] draws", "[axes] phi_u0_deg[1]", "[axes] phi_u0_deg[2]"}),
+    ):
+        Path("wrong.toml").write_text(tomli_w.dumps(tables | more))
         code, told, error = sinsjax("validate", "wrong")
         lines = [line.removeprefix("error: wrong.toml: ") for line in error.splitlines()]
         assert (code, told) == (2, "")
@@ -185,6 +117,8 @@ def test_validate_reports_all_errors_of_a_stage(sinsjax: Command, tmp_path: Path
         (["sweep", "reset_sweep"], "missing option '--out' / '-o' (see `sinsjax sweep -h`)"),
         (["swep"], "no such command 'swep'"),
         (["sweep", "reset_sweep", "-o", "x", "--devices", "two"], "invalid value for '--devices'"),
+        (["terms"], "terms: was removed after 1.0 (docs/glossary.md)"),
+        (["sweep", "reset_sweep", "--workers", "4"], "sweep --workers: was removed"),
     ],
 )
 def test_wrong_command_line_gives_one_line_error(
@@ -195,59 +129,10 @@ def test_wrong_command_line_gives_one_line_error(
     assert error.startswith(f"error: {line}")
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["terms"], "terms: was removed after 1.0 (docs/glossary.md)"),
-        (["sweep", "reset_sweep", "--workers", "4"], "sweep --workers: was removed"),
-        (["export", "reset_sweep", "-o", "x", "--resume"], "export --resume: was removed"),
-    ],
-)
-def test_command_or_option_that_is_gone_names_what_to_use(
-    sinsjax: Command, words: list[str], line: str
-) -> None:
-    code, told, error = sinsjax(*words)
-    assert (code, told, error.count("\n")) == (2, "", 1)
-    assert error.startswith(f"error: {line}")
-
-
-def test_malformed_tables_are_reported(tmp_path: Path) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text(f'axes = 3\ndrawn = [1]\n[study]\nseed = ["x", {10**400}]\n[[cases]]\nx = 1\n')
-    with pytest.raises(InputError) as error:
-        load_study(path)
-    places = {line.removeprefix(f"{path}: ").split(":")[0] for line in error.value.lines}
-    assert places >= {"[axes]", "[drawn]"}
-    path.write_text(f'[axes]\nreset_count = ["x", {10**400}]\n')
-    with pytest.raises(InputError) as error:
-        load_study(path, {"study.seed": 1})
-    line = f"{path}: [axes] reset_count[0]: must be a whole number"
-    assert any(one.startswith(line) for one in error.value.lines)
-
-
-def test_validate_reports_search_that_tune_refuses(sinsjax: Command, tmp_path: Path) -> None:
-    """The searches of a study that names none have a gradient among them."""
-    (tmp_path / "tuned.toml").write_text(
-        "[study]\nduration_s = 30.0\nrate_hz = 10.0\n[earth]\nlatitude_deg = 40.0\n"
-        "[motion]\nyaw_center_deg = 0.0\n[filter]\nq_accel_ug = 50.0\nq_gyro_deg_per_h = 0.1\n"
-        "q_reading = 'psd'\n"
-        "[tune.variables]\nfeedback_interval_s = { low = 1.0, high = 5.0 }\n"
-    )
-    code, told, error = sinsjax("validate", "tuned")
-    what = "feedback_interval_s: has no gradient (use 'sobol' instead of 'gradient')"
-    assert (code, told, error) == (2, "", f"error: tuned: [tune.variables] {what}\n")
-    assert sinsjax("tune", "tuned", "-o", "out")[::2] == (code, error)
-    words = ("--set", 'tune.searches=["grid"]')
-    assert sinsjax("validate", "tuned", *words)[::2] == (0, "")
-
-
 def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
-    assert "The filter assumes the sensors' own noise." in told
-    assert "The filter feeds back every 1 s; its level settles in 0.89 s" in told
-    assert "assumes 100 times the sensors' noise" in sinsjax("validate", "paper1_resets")[1]
 
 
 def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) -> None:
@@ -267,12 +152,12 @@ def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) ->
     ("text", "reason"),
     [
         ("phi_u0_deg", "must be SECTION.KEY=VALUE"),
-        ("phi_u0_deg=1", "(alignment.phi_u0_deg)"),
         ("alignment.phi_u0_deg=[", "not a TOML value"),
         ("alignment.phi_u0_deg=0,1", "(decimal point: 0.1; list: [0,1])"),
         ("alignment.phi=1", "[alignment] phi: unknown key"),
         ("study.seed.x=1", "is below a value"),
-        ("cases.p0_yaw_deg=1", "the entries of cases"),
+        ("coarse={}", "coarse: cannot be dropped"),
+        (f"study.window_s={'[' * 20_000}{']' * 20_000}", ": is nested too deeply"),
     ],
 )
 def test_invalid_set_option_gives_one_line_error(sinsjax: Command, text: str, reason: str) -> None:
@@ -285,71 +170,26 @@ def test_replace_changes_only_given_study_keys() -> None:
     assert study.replace({}) == study
     longer = study.replace({"study.duration_s": 1200.0, "alignment.phi_u0_deg": 12.0})
     assert longer.duration_s == 1200.0 and longer.n_variants == 56
-    assert (
-        study.replace({"sensors.gyro_arw_deg_per_sqrt_h": 0.1}).sensors.gyro_noise_deg_per_h is None
-    )
+    dense = study.replace({"sensors.gyro_arw_deg_per_sqrt_h": 0.1})
+    assert dense.sensors.gyro_noise_deg_per_h is None
     with pytest.raises(package.InputError, match=r"\[study\] draws: must be greater"):
         study.replace({"study.draws": 0})
+    drawn = study.replace({"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
+    assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
+    assert not drawn.replace({"drawn": {}}).drawn_keys
 
 
-def test_changes_set_drawn_keys_and_zipped_axes() -> None:
-    changes = {"drawn.phi_u0_deg.uniform": [-5.0, 5.0], "axes.level.phi_e0_deg": [1.0, 2.0]}
-    study = package.load_study("reset_sweep", changes | {"axes.level.phi_n0_deg": [1.0, 2.0]})
-    assert study.drawn_keys == ("phi_u0_deg",)
-    assert study.axis_keys == ("phi_e0_deg", "phi_n0_deg", "reset_count", "reset_cycle_s")
-
-
-def test_cases_are_replaced_as_a_whole() -> None:
+def test_replace_recomputes_defaults_and_drops_axes_and_cases() -> None:
+    template = package.load_study(files.template_files()["sweep"])
+    assert template.study.window_s == (200.0, 300.0)
+    assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
+    assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
+    assert template.replace({"axes": {}}).n_variants == 1
     cases = [{"case": "none", "reset_times_s": []}, {"case": "one", "reset_times_s": [50.0]}]
     study = package.load_study("paper1_resets", {"cases": cases})
     assert study.values("case") == ["none", "one"]
     again = study.replace({"cases": cases[:1], "study.draws": 3})
     assert again.values("case") == ["none"] and again.n_draws == 3
-    with pytest.raises(package.InputError, match=r"cases"):
-        study.replace({"cases": [1.0]})
-
-
-def test_setting_drawn_key_to_value_stops_drawing_it() -> None:
-    drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
-    assert drawn.drawn_keys == ("gyro_bias_deg_per_h",)
-    assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
-
-
-def test_empty_table_drops_existing_section_or_key(sinsjax: Command) -> None:
-    template = package.load_study(files.template_files()["sweep"])
-    assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
-    assert template.replace({"axes": {}}).n_variants == 1
-    drawn = package.load_study("reset_sweep", {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
-    assert not drawn.replace({"drawn": {}}).drawn_keys
-    for place in ("coarse", "axes.p0_yaw_deg", "filter.p0_yaw_deg.high"):
-        code, _, error = sinsjax("validate", "reset_cycle_study", "--set", f"{place}={{}}")
-        assert (code, error.count("\n")) == (2, 1) and f"{place}: cannot be dropped" in error
-
-
-@pytest.mark.nightly
-def test_another_method_needs_no_further_changes(sinsjax: Command, tmp_path: Path) -> None:
-    """One line lists what the method does not read, such as the template's axis of resets."""
-    template = files.template_files()["sweep"]
-    changes = ("--set", "alignment.method=inertial", "--set", "study.draws=2")
-    code, shown, error = sinsjax("validate", template, *changes)
-    assert (code, error) == (0, "")
-    (line,) = [line for line in shown.splitlines() if "have no effect" in line]
-    for key in ("feedback_interval_s", "p0_yaw_deg", "[axes] reset_times_s", "phi_u0_deg"):
-        assert key in line
-    assert line.endswith("have no effect with method inertial.")
-    code, shown, error = sinsjax("sweep", template, *changes, "-o", tmp_path / "out")
-    assert code == 0 and shown.count(line) == 1
-    study = package.load_study(template).replace({"alignment.method": "inertial"})
-    stored = package.load_study(tmp_path / "out" / "study.toml")
-    assert stored.alignment == study.alignment and stored.axes == study.axes
-
-
-def test_dependent_defaults_are_recomputed_on_replace() -> None:
-    template = package.load_study(files.template_files()["sweep"])
-    assert template.study.window_s == (200.0, 300.0)
-    assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
-    compare = package.load_study(files.template_files()["compare"])
-    assert compare.replace({}) == compare
 
 
 def test_keys_command_explains_key_and_section(
@@ -358,17 +198,15 @@ def test_keys_command_explains_key_and_section(
     monkeypatch.delitem(METHODS, "theirs", raising=False)
     register_external(["theirs"])  # of a loaded study
     code, told, _ = sinsjax("keys", "reset_count")
-    assert code == 0
+    assert code == 0 and told.count("\n") == 2
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
-    assert "number of scheduled resets" in told and told.count("\n") == 2
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6
-    code, _, error = sinsjax("keys", "reset_cont")
-    assert code == 2 and "did you mean reset_count?" in error
-    code, _, error = sinsjax("keys", "axes")
-    assert code == 2 and "[axes]: has the keys of other sections (`[axes] KEY = [...]`" in error
+    for name, text in (("reset_cont", "did you mean reset_count?"), ("axes", "[axes]: has the")):
+        code, _, error = sinsjax("keys", name)
+        assert code == 2 and text in error
 
 
-def test_copy_of_a_shipped_study_names_what_the_user_has(sinsjax):
+def test_copy_of_a_shipped_study_names_what_the_user_has(sinsjax: Command) -> None:
     assert sinsjax("init", "paper1_resets", "-o", "mine.toml")[0] == 0
     text = Path("mine.toml").read_text()
     assert "sinsjax run mine.toml" in text and "see paper1_readings and" in text

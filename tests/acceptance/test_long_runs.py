@@ -9,9 +9,7 @@ import pytest
 from support.batches import batch_of
 from support.studies import small_study
 
-from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine import samples, scenario
-from sinsjax.engine.inputs import aligned_record
 from sinsjax.engine.run import map_tiles, run_tile
 from sinsjax.execution import run
 
@@ -82,24 +80,3 @@ def test_curves_without_stored_increments_match_stored_ones(request: pytest.Fixt
     assert pieces.num_rows == whole.num_rows == 4
     for name in ("phi_e_arcmin", "phi_n_arcmin", "phi_u_arcmin", "yaw_deg"):
         np.testing.assert_allclose(pieces[name], whole[name], rtol=0, atol=1e-7, err_msg=name)
-
-
-def test_simulated_record_is_same_without_stored_increments(request: pytest.FixtureRequest) -> None:
-    whole = simulated_record(PASSES, draw_id=1)
-    request.getfixturevalue("without_records")
-    again = simulated_record(PASSES, draw_id=1)
-    np.testing.assert_allclose(again.dtheta, whole.dtheta, rtol=0, atol=1e-16)
-    np.testing.assert_allclose(again.dv, whole.dv, rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize(("draws", "shown"), [(3, 3), (64, None)])
-def test_curves_of_idle_lanes_are_not_requested(draws: int, shown: int | None) -> None:
-    part = batch_of(small_study(study={"draws": draws}), curves=True)
-    assert part.lay_out().curve_lanes == shown
-
-
-@pytest.mark.parametrize("samples", [1, 5, 1000, 100_000])
-def test_record_array_is_aligned_to_64_bytes(samples: int) -> None:
-    stored = aligned_record(samples)
-    assert stored.shape == (samples, 6) and stored.dtype == float and stored.flags.c_contiguous
-    assert stored.ctypes.data % 64 == 0 and stored.flags.writeable

@@ -4,21 +4,18 @@ import importlib
 import os
 import re
 import shutil
-import tomllib
+import subprocess
+import sys
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command_server import CommandServer
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.methods import registry
 from sinsjax.methods.method import Options
 from sinsjax.methods.plugins import check_plugin
-from sinsjax.study.load import study_from_dict
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"
@@ -29,18 +26,6 @@ POINTS = "averaged_alignment-1.0.dist-info/entry_points.txt"
 WHOSE = "method 'averaged' of averaged-alignment 1.0: "
 BROKEN = "averages.toml: [alignment] method: 'averaged' cannot be used: "
 SOURCE = f"{BROKEN}entry point 'averaged' in sinsjax.methods of averaged-alignment 1.0: "
-
-
-def test_broken_plugin_affects_only_studies_that_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(registry.BROKEN, "averaged", "entry point 'averaged': cannot be loaded")
-    study = tomllib.loads(STUDY)
-    with pytest.raises(InputError) as caught:
-        study_from_dict(study)
-    line = "[alignment] method: 'averaged' cannot be used: entry point 'averaged': cannot be loaded"
-    assert str(caught.value).partition(": ")[2] == line
-    study.pop("averaged")
-    study["axes"]["method"] = ["inertial"]
-    assert study_from_dict(study).methods == ("inertial",)
 
 
 def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
@@ -70,31 +55,29 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[CommandServer]:
-    """Runs command lines in processes that find the package."""
-    server = CommandServer()
-    yield server
-    server.close()
-
-
-def change(site: Path, folder: Path, file: str, old: str, new: str) -> Path:
-    """Return a copy of the installed package with another text in one of its files."""
-    changed = shutil.copytree(site, folder / "site")
-    text = (changed / file).read_text()
-    assert old in text
-    (changed / file).write_text(text.replace(old, new))
-    return changed
+def run_commands(site: Path, cwd: Path, *commands: str) -> list[subprocess.CompletedProcess]:
+    """Run command lines in processes that find the package."""
+    paths = f"{site}{os.pathsep}{EXAMPLE.parents[1]}"
+    return [
+        subprocess.run(
+            [sys.executable, "-m", "sinsjax", *command.split()],
+            env=os.environ | {"PYTHONPATH": paths},
+            cwd=cwd,
+            capture_output=True,
+            text=True,
+        )
+        for command in commands
+    ]
 
 
 @pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
-    server: CommandServer, site: Path, tmp_path: Path
+    site: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "averages.toml").write_text(STUDY)
-    commands = ("keys", "averaged"), ("info",), ("sweep", "averages.toml", "-o", "out")
-    keys, info, sweep = server(*commands, site=site, cwd=tmp_path)
+    commands = "keys averaged", "info", "sweep averages.toml -o out"
+    keys, info, sweep = run_commands(site, tmp_path, *commands)
     assert (keys.returncode, keys.stderr) == (0, "")
     assert "averaging_time_s" in keys.stdout and "time constant of the averages" in keys.stdout
     assert "package: averaged-alignment 1.0" in keys.stdout
@@ -106,69 +89,55 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
     assert set(errors) == {"averaged", "inertial"} and max(map(abs, errors.values())) < 0.5
 
 
+EDITS = {
+    "broken entry point": (
+        (POINTS, "method:", "nowhere:"),
+        f"{SOURCE}cannot be loaded (ModuleNotFoundError: No module named 'averaged_alignment."
+        "nowhere')",
+        "",
+    ),
+    "key of a study": (
+        (METHOD, "averaging_time_s", "duration_s"),
+        f"{BROKEN}{WHOSE}[averaged] duration_s is a key of [study]",
+        "",
+    ),
+    "error in a step": (
+        (METHOD, "turn = add(", "turn = state.nothing  # ("),
+        f"{WHOSE}AttributeError: '_State' object has no attribute 'nothing'",
+        "state.nothing",
+    ),
+    "another state": (
+        (METHOD, ", force, turn)", ", force, n)"),
+        f"{WHOSE}step, normalise or close returns _State(nav=Navigation(",
+        "",
+    ),
+    "params of one run": (
+        (METHOD, "return 1 - 1", "return 0.5 #"),
+        f"{WHOSE}params must return one value per variant",
+        "",
+    ),
+}
+
+
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("edit", "line"),
-    [
-        (
-            (POINTS, "method:", "nowhere:"),
-            f"{SOURCE}cannot be loaded (ModuleNotFoundError: No module named 'averaged_alignment."
-            "nowhere')",
-        ),
-        (
-            (METHOD, "averaging_time_s", "duration_s"),
-            f"{BROKEN}{WHOSE}[averaged] duration_s is a key of [study]",
-        ),
-    ],
-)
-def test_broken_plugin_is_one_line_and_affects_only_studies_that_use_it(
-    server: CommandServer, site: Path, tmp_path: Path, edit: tuple[str, str, str], line: str
+@pytest.mark.parametrize("name", EDITS)
+def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(
+    site: Path, tmp_path: Path, name: str
 ) -> None:
+    (file, old, new), line, marked = EDITS[name]
     (tmp_path / "averages.toml").write_text(STUDY)
-    changed = change(site, tmp_path, *edit)
-    commands = ("validate", "averages.toml"), ("validate", "reset_sweep")
-    own, other = server(*commands, site=changed, cwd=tmp_path)
-    assert (own.returncode, own.stderr) == (2, f"error: {line}\n")
+    changed = Path(shutil.copytree(site, tmp_path / "site"))
+    text = (changed / file).read_text()
+    assert old in text
+    (changed / file).write_text(text.replace(old, new))
+    commands = "validate averages.toml", "sweep averages.toml -o out", "validate reset_sweep"
+    *wrong, other = run_commands(changed, tmp_path, *commands)
     assert (other.returncode, other.stderr) == (0, "")
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("edit", "text", "marked"),
-    [
-        (
-            (METHOD, "turn = add(", "turn = state.nothing  # ("),
-            "AttributeError: '_State' object has no attribute 'nothing'",
-            "state.nothing",
-        ),
-        (
-            (METHOD, ", force, turn)", ", force, n)"),
-            "step, normalise or close returns _State(nav=Navigation(",
-            "",
-        ),
-        (
-            (METHOD, "return 1 - 1", "return 0.5 #"),
-            "params must return one value per variant",
-            "",
-        ),
-    ],
-)
-def test_validate_and_sweep_report_wrong_plugin_method_in_one_line(
-    server: CommandServer,
-    site: Path,
-    tmp_path: Path,
-    edit: tuple[str, str, str],
-    text: str,
-    marked: str,
-) -> None:
-    (tmp_path / "averages.toml").write_text(STUDY)
-    changed = change(site, tmp_path, *edit)
-    commands = ("validate", "averages.toml"), ("sweep", "averages.toml", "-o", "out")
-    for ended in server(*commands, site=changed, cwd=tmp_path):
+    for ended in wrong:
         assert ended.returncode == 2 and ended.stderr.count("\n") == 1
-        assert ended.stderr.startswith(f"error: {WHOSE}{text}")
+        assert ended.stderr.startswith(f"error: {line}")
         if marked:
             lines = (changed / METHOD).read_text().splitlines()
-            (number,) = (number for number, line in enumerate(lines, 1) if marked in line)
+            (number,) = (number for number, code in enumerate(lines, 1) if marked in code)
             assert ended.stderr.endswith(f", in {changed / METHOD}:{number}\n")
     assert not (tmp_path / "out").exists()

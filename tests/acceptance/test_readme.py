@@ -24,7 +24,7 @@ def assert_same_but_for_last_digits(here: str, there: str) -> None:
 @pytest.mark.nightly
 def test_readme_python_example_prints_what_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[1].splitlines()
+    shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[2].splitlines()
     exec(compile(example, "README.md", "exec"), {})
     printed = capsys.readouterr().out.splitlines()
     for here, there in zip(printed, shown, strict=True):
@@ -37,7 +37,7 @@ def test_first_command_prints_what_is_shown(
 ) -> None:
     command = command_line(monkeypatch, capsys)
     code, told, _ = command("sweep", "reset_sweep", "-o", tmp_path / "out")
-    shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[0]
+    shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[1]
     assert code == 0
     for label in ("Best", "Others", "Accuracy"):
         pattern = rf"^  {label} (.*?)(?=^  \w|^\s*$|^\w|\Z)"

@@ -1,6 +1,5 @@
 """The commands of the tutorials run in order in an empty folder."""
 
-import ast
 import re
 import shlex
 from pathlib import Path
@@ -45,13 +44,8 @@ def typed(
 ) -> list[str]:
     """Return the output of the blocks of a page, as a reader types them.
 
-    Args:
-        page: file below docs/.
-        command: runs a command line.
-        capsys: what it prints.
-        progress: whether commands tell their progress on the error output.
-        shorter: words added to the command lines that contain a key, to save time.
-        saved: file in which the page has its reader save a study.
+    Commands may show their progress on the error output if ``progress``; the lines that contain a
+    key of ``shorter`` get its words, to save time; ``saved`` is the file of the page's study.
     """
     told: list[str] = []
     names: dict[str, object] = {}
@@ -76,24 +70,24 @@ def test_start_tutorial_commands_run_with_expected_output(
     few = "--draws 2 --set axes.reset_cycle_s=[10,50] --set axes.phi_u0_deg=[0,90]"
     few += " --set study.duration_s=450 --set study.window_s=[300,450]"
     told = typed("start.md", command, capsys, progress=True, shorter={"sweep reset_sweep": few})
-    first, full, mine, worse = told[0], told[2], told[7], told[8]
+    first, full = told[0], told[2]
     assert "reset_sweep: 56 runs in " in first and "By reset_count" not in first
     assert "By reset_count" in full
     assert sinsjax.read_summary(Path("gravity"))["ok_floor"].to_pylist() == [True] * 56
-    shares = [re.findall(r"Success +(\d+) \[.* floor, (\d+) \[", text) for text in (mine, worse)]
+    shares = [re.findall(r"Success +(\d+) \[.* floor, (\d+) \[", text) for text in told[7:9]]
     assert shares == [[("94", "88")], [("94", "6")]]  # from the bias floor, and from north
     assert "identical" in told[9]
     assert Path("first/figures/settling_time.png").exists()
 
 
-def test_own_imu_tutorial_prints_documented_numbers(
+def test_advice_page_prints_documented_numbers(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = typed("own_imu.md", command, capsys, progress=True, saved="imu.toml")
-    (shown,) = (text for language, text in blocks("own_imu.md") if language == "text")
+    told = typed("advise.md", command, capsys, progress=True, saved="imu.toml")
+    (shown,) = (text for language, text in blocks("advise.md") if language == "text")
     assert told[0].split() == shown.split()  # the page has other line breaks
     assert "confirm.toml written" in told[1]
-    page = (ROOT / "docs" / "own_imu.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "advise.md").read_text(encoding="utf-8")
     number = r"([\d.]+) \[([\d.]+), ([\d.]+)\]"
     rows = re.findall(rf"^\| \d+ s \| ([\d.]+) \| {number} \|$", page, re.MULTILINE)
     found = [list(map(float, line.split())) for line in told[3].splitlines()]
@@ -101,9 +95,7 @@ def test_own_imu_tutorial_prints_documented_numbers(
     assert table.shape == (3, 4) and np.abs(table[:, 1:] - found).max() < 0.15
     advised = {one.time_s: one.rms_arcmin for one in sinsjax.advise("imu.toml").headings}
     np.testing.assert_allclose(table[:, 0], [advised[t] for t in (60, 120, 300)], atol=0.06)
-    assert told[4].split() == [
-        *("10.3", "gyro_bias", "8.4", "gyro_instability", "7.9", "gyro_instability"),
-    ]
+    assert told[4].split()[::2] == ["10.3", "8.4", "7.9"]
     assert "bring 7.9 arcmin instead of 10.3" in page
 
 
@@ -118,18 +110,15 @@ def test_own_record_tutorial_finds_expected_heading(
     (shown,) = (text for language, text in blocks("own_record.md") if language == "toml")
     for line in shown.splitlines():
         assert line in text.splitlines(), line
-    starts = ast.literal_eval(told[-1])
-    assert [one["start_s"] for one in starts] == [0.0, 30.0]
-    assert all(abs(one["yaw_deg"] + 35) < 0.5 for one in starts)
 
 
 def test_two_position_tutorial_finds_documented_heading(
     command: Command, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = typed("two_positions.md", command, capsys, progress=True)
+    told = typed("turning.md", command, capsys, progress=True)
     assert "two_positions.toml written" in told[1] and "two_positions.toml: valid" in told[2]
     assert told[-1].splitlines() == ["214.9 26 1.0", "[1.0, 1.0]"]
-    page = (ROOT / "docs" / "two_positions.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "turning.md").read_text(encoding="utf-8")
     assert "214.9 deg with a 1 sigma of 26 arcmin" in page
 
 
@@ -142,10 +131,7 @@ def test_one_run_tutorial_prints_shown_output(
 
 
 def test_own_method_page_shows_example_package_files() -> None:
-    """The page shows the files of the example package, which other tests install and run.
-
-    They run the study at its end, too.
-    """
+    """Other tests install and run them, and run the study at the page's end."""
     folder = ROOT / "tests" / "example_method"
     files = ("pyproject.toml", "averaged_alignment/method.py")
     shown = [text for language, text in blocks("own_method.md") if language in ("toml", "python")]

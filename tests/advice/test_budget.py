@@ -26,6 +26,10 @@ def sheet(**tables: Any) -> Sheet:
     return read_sheet(given | tables)
 
 
+def budget_of(given: Sheet, times_s: list[float], left_out: tuple[str, ...] = ()) -> heading.Budget:
+    return heading.heading_budget(heading.sheet_problem(given), times_s, left_out)
+
+
 MANY = {
     "sensors": SENSORS
     | {"gyro_rrw_deg_per_h_per_sqrt_h": 0.5, "accel_rrw_ug_per_sqrt_h": 100.0}
@@ -43,7 +47,7 @@ MANY = {
 @pytest.mark.parametrize("case", ["few", "many"])
 def test_shares_are_the_slopes_of_the_bound_and_add_up(case):
     given = sheet(**(MANY if case == "many" else {}))
-    budget = heading.sheet_budget(given, [60.0, 200.0])
+    budget = budget_of(given, [60.0, 200.0])
     assert set(budget.sources) <= heading.SOURCES.keys() == heading.KEYS.keys()
     if case == "many":
         assert {"surge", "gyro_walk", "accel_quantisation", "gyro_scale"} <= {*budget.sources}
@@ -54,11 +58,22 @@ def test_shares_are_the_slopes_of_the_bound_and_add_up(case):
         assert np.all(row > 0)
     for k, source in enumerate(budget.sources):
         more, less = (
-            heading.sheet_budget(scale_source(given, source, factor), [60.0, 200.0]).sigma ** 2
+            budget_of(scale_source(given, source, factor), [60.0, 200.0]).sigma ** 2
             for factor in (1.02, 0.98)
         )
         slope = (more - less) / (2 * np.log(1.02 / 0.98))
         np.testing.assert_allclose(budget.variance[:, k], slope, rtol=0.02, atol=1e-6 * more.max())
+
+
+@pytest.mark.parametrize("source", ["gyro_instability", "gyro_bias"])
+def test_source_without_a_model_leaves_the_weights_of_the_others(source):
+    given = sheet(motion={"turn_times_s": [90.0], "turn_angles_deg": [180.0]})
+    known, unknown = budget_of(given, [200.0]), budget_of(given, [200.0], (source,))
+    without = budget_of(scale_source(given, source, 0.0), [200.0])
+    for name, share in zip(without.sources, without.variance[0], strict=True):
+        k = unknown.sources.index(name)
+        assert unknown.variance[0, k] == pytest.approx(share, rel=1e-9)
+    assert without.sigma[0] < known.sigma[0] < unknown.sigma[0]
 
 
 def test_bound_of_a_sheet_is_the_information_bound():
@@ -68,7 +83,7 @@ def test_bound_of_a_sheet_is_the_information_bound():
     method = {"alignment": {"method": "inertial"}}
     study = given.study(method | {"motion": motion, "drawn": drawn})
     bound = sinsjax.information_bound(study)["bound_u_arcmin"].to_pylist()
-    found = np.degrees(heading.sheet_budget(given, [60.0, 120.0, 300.0]).sigma) * 60
+    found = np.degrees(budget_of(given, [60.0, 120.0, 300.0]).sigma) * 60
     np.testing.assert_allclose(found, bound, rtol=2e-3)
 
 

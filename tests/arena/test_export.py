@@ -1,7 +1,6 @@
 """Draws as files: what a program reads is what the engine measures, and where a run starts."""
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.arena import export
-from sinsjax.arena.export import export_study, plan_export, write_export
+from sinsjax.arena.export import Form, export_study
 from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import misalignment
@@ -42,33 +41,26 @@ def read_initial(folder: Path) -> list[dict[str, str]]:
 
 @pytest.mark.parametrize("kind", export.FORMATS)
 def test_exported_record_has_the_engines_increments_to_the_bit(kind: str, tmp_path: Path) -> None:
-    plan = plan_export(study(), format=kind)
-    export_study(study(), tmp_path / "out", format=kind)
+    out = export_study(study(), tmp_path / "out", format=kind)
     read = read_parquet if kind == "parquet" else read_csv
-    for draw in range(3):
-        path = tmp_path / "out" / plan.record_name(0, draw)
-        record = read(path, export.record_layout(plan))
+    for draw, path in enumerate(sorted(out.glob("imu/*"))):
+        record = read(path, export.record_layout(Form(kind)))
         made = sinsjax.simulated_record(study(), draw)
         np.testing.assert_array_equal(record.dtheta, made.dtheta)
         np.testing.assert_array_equal(record.dv, made.dv)
         assert record.rate_hz == 100.0
-
-
-def test_psins_format_is_seven_columns_without_names(tmp_path: Path) -> None:
-    folder = export_study(study(), tmp_path / "out", format="psins", draws=(1, 2))
-    numbers = np.loadtxt(folder / "imu" / "draw_00001.txt")
-    assert numbers.shape == (600, 7)
-    np.testing.assert_array_equal(numbers[:, 6], np.arange(1, 601) / 100)
-    np.testing.assert_array_equal(numbers[:, :3], sinsjax.simulated_record(study(), 1).dtheta)
+    assert draw == 2
+    if kind == "psins":  # seven columns without names
+        numbers = np.loadtxt(path)
+        np.testing.assert_array_equal(numbers, np.c_[made.dtheta, made.dv, np.arange(1, 601) / 100])
 
 
 def test_rates_of_ned_axes_are_those_of_the_increments(tmp_path: Path) -> None:
-    folder = export_study(study(), tmp_path / "out", quantity="rates", frame="ned")
-    made = sinsjax.simulated_record(study(), 0)
-    with (folder / "imu" / "draw_00000.csv").open() as file:
-        names = next(csv.reader(file))
+    folder = export_study(study(), tmp_path / "out", quantity="rates", frame="ned", draws=(0, 1))
+    made, path = sinsjax.simulated_record(study(), 0), folder / "imu" / "draw_00000.csv"
+    names = path.read_text().splitlines()[0].split(",")
     assert names[1] == "gyro_x_rad_per_s" and names[-1] == "accel_z_m_per_s2"
-    numbers = np.loadtxt(folder / "imu" / "draw_00000.csv", delimiter=",", skiprows=1)
+    numbers = np.loadtxt(path, delimiter=",", skiprows=1)
     right, front, up = 100 * made.dtheta.T
     np.testing.assert_allclose(numbers[:, 1:4], np.stack([front, right, -up], -1), rtol=1e-12)
     assert numbers[:, 6].mean() == pytest.approx(-9.8, abs=0.01)  # specific force, z down
@@ -118,15 +110,14 @@ def test_frames_agree_with_matrices_written_out() -> None:
         np.testing.assert_allclose(np.stack(again), np.stack(attitude), atol=1e-14)
 
 
-def test_variants_that_differ_in_methods_alone_are_one_run(tmp_path: Path) -> None:
+def test_variants_that_differ_in_methods_alone_are_one_run_without_a_start_if_none_has_one(
+    tmp_path: Path,
+) -> None:
     methods = {"method": ["kalman5", "inertial"], **STARTS}
-    rows = read_initial(export_study(study(axes=methods), tmp_path / "out", draws=(0, 1)))
-    assert [row["run_id"] for row in rows] == ["0", "1"]
-
-
-def test_study_without_a_start_gives_none(tmp_path: Path) -> None:
+    rows = read_initial(export_study(study(axes=methods), tmp_path / "both", draws=(0, 1)))
+    assert [row["run_id"] for row in rows] == ["0", "1"] and rows[0]["yaw_deg"] != "nan"
     made = small_study(alignment={"method": "inertial"})
-    row = read_initial(export_study(made, tmp_path / "out"))[0]
+    row = read_initial(export_study(made, tmp_path / "none", draws=(0, 1)))[0]
     assert row["yaw_deg"] == row["q_w"] == "nan"
 
 
@@ -158,53 +149,75 @@ def test_truth_is_the_bases_attitude_unless_blind(tmp_path: Path) -> None:
     assert not (blind / "truth.parquet").exists()
 
 
-def test_interrupted_export_is_unfinished_and_is_made_again(tmp_path: Path) -> None:
+def test_interrupted_export_is_made_again_and_other_files_are_kept(tmp_path: Path) -> None:
     out, whole = tmp_path / "out", export_study(study(), tmp_path / "whole")
-    steps = write_export(plan_export(study()), out)
-    assert [next(steps), next(steps)] == [0, 1]
-    steps.close()
-    with pytest.raises(InputError, match="the export is unfinished"):
+
+    def stop(progress: Any) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_study(study(), out, format="psins", on_progress=stop)
+    (out / "imu" / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="an unfinished one"):
         export.read_export(out)
-    assert [*write_export(plan_export(study()), out, overwrite=True)] == [0, 1, 2, 3]
-    for path in sorted(whole.glob("imu/*")):
-        assert path.read_bytes() == (out / "imu" / path.name).read_bytes()
+    with pytest.raises(InputError, match="already contains an export"):
+        export_study(study(), out)
+    export_study(study(), out, overwrite=True)
+    made = sorted(whole.glob("imu/*"))
+    assert [*sorted(out.glob("imu/*"))] == [
+        out / "imu" / n for n in (*(p.name for p in made), "mine.txt")
+    ]
+    assert all(path.read_bytes() == (out / "imu" / path.name).read_bytes() for path in made)
     assert export.read_export(out)[0] == study()
 
 
-def test_overwrite_removes_the_files_of_the_earlier_export_alone(tmp_path: Path) -> None:
-    out = export_study(study(), tmp_path / "out", format="psins")
-    (out / "imu" / "mine.txt").write_text("mine")
-    export_study(study(), out, draws=(0, 1), overwrite=True)
-    assert sorted(p.name for p in out.glob("imu/*")) == ["draw_00000.csv", "mine.txt"]
-    manifest = json.loads((out / "export.json").read_text())
-    assert manifest["draws"] == [0, 1] and manifest["state"] == "complete"
-
-
 MISTAKES = {
-    "draws": (["--draws", "5:2"], "draws: 5:2: must be A:B with 0 <= A < B <= 64"),
-    "words": (["--draws", "some"], "--draws: 'some' is not of the form A:B"),
-    "format": (["--format", "mat"], "format: 'mat' is not one of psins, csv, parquet"),
-    "frame": (["--frame", "nwu"], "frame: 'nwu' is not one of enu, ned"),
-    "psins": (["--format", "psins", "--frame", "ned"], "frame: 'ned': the psins format has"),
+    "draws: 5:2: must be A:B with 0 <= A < B <= 64": ["--draws", "5:2"],
+    "--draws: 'some' is not of the form A:B": ["--draws", "some"],
+    "format: 'mat' is not one of psins, csv, parquet": ["--format", "mat"],
+    "frame: 'nwu' is not one of enu, ned": ["--frame", "nwu"],
+    "format: psins has increments of right": ["--format", "psins", "--frame", "ned"],
 }
 
 
-@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("message", MISTAKES)
 def test_mistake_is_one_line_and_writes_nothing(
-    case: str, command: Command, tmp_path: Path
+    message: str, command: Command, tmp_path: Path
 ) -> None:
-    options, message = MISTAKES[case]
-    code, _, error = command("export", "paper1_resets", "-o", tmp_path / "out", *options)
+    code, _, error = command("export", "paper1_resets", "-o", tmp_path / "out", *MISTAKES[message])
     assert code == 2 and len(error.splitlines()) == 1 and message in error
     assert not (tmp_path / "out").exists()
 
 
-def test_directory_with_other_files_or_an_export_is_refused(tmp_path: Path) -> None:
+def test_directory_with_other_files_and_study_with_passes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match=r"contains thesis\.txt, no export"):
         export_study(study(), tmp_path)
-    out = export_study(study(), tmp_path / "out")
-    with pytest.raises(InputError, match="already contains an export"):
-        export_study(study(), out)
     with pytest.raises(InputError, match=r"\[passes\]: a program reads a record once"):
         export_study(small_study(passes={"stored_s": 2.0}), "nowhere")
+
+
+@pytest.mark.nightly
+def test_filter_of_plain_numpy_finds_north_and_is_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tables = sinsjax.load_study("arena").to_dict()
+    tables["study"] |= {"duration_s": 20.0, "window_s": [10.0, 20.0], "draws": 2}
+    tables["study"]["report_times_s"] = [10.0]
+    made = sinsjax.study_from_dict(tables | {"cases": tables["cases"][:1]})
+    draws = export_study(made, tmp_path / "draws", format="psins")
+    script = Path(__file__).parents[2] / "docs" / "studies" / "comparison" / "numpy_filter.py"
+    content = script.read_text(encoding="utf-8")
+    assert len(content.splitlines()) <= 61 and "sinsjax" not in content.split('"""')[2]
+    names: dict[str, Any] = {"__name__": "filter"}
+    exec(compile(content, str(script), "exec"), names)
+    names["main"](draws, "results.csv")
+    score = sinsjax.score_results(draws, "results.csv", name="numpy filter")
+    assert score.missing == [] and score.warnings == []
+    rows = sinsjax.read_summary(score.directory).to_pandas()
+    ours = rows[rows["method"] == "numpy filter"]["phi_u_arcmin"].to_numpy()
+    own = rows[rows["case"] == "kalman5"]["phi_u_arcmin"].to_numpy()
+    # The same filter and noise, but for the order of integration and feedback.
+    np.testing.assert_allclose(ours, own, rtol=0.1)
+    assert np.median(np.abs(ours)) < 1500  # from 30 and 80 deg, after 20 s

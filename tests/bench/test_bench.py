@@ -1,9 +1,7 @@
 """Workloads are replaced by fakes, except the limit kernel: the short set takes long."""
 
 import json
-import shutil
 import sys
-import tempfile
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -25,9 +23,6 @@ import timing
 from limit import limit_kernel_workload
 from timing import Workload
 
-HOLDS = {"cpu": "model X", "sinsjax": "1.2", "jax": "0", "platform": "cpu", "options": "all"}
-ROWS = ["kalman_shared_record", "kalman_noise_64"]
-
 
 def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
     left = iter(seconds)
@@ -38,35 +33,6 @@ def fake_workload(name, seconds, calls=None, runs=10, steps=100, **more):
         return next(left)
 
     return Workload(name, runs, steps, 0.5, call, **more)
-
-
-@pytest.fixture
-def fake_workloads(monkeypatch, tmp_path):
-    """Leave this process unchanged, compile no engine, put temporary files into tmp_path."""
-    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
-    monkeypatch.setattr(bench, "measurement_conditions", lambda: HOLDS)
-    faked = {name: partial(Workload, name, 1, 1, 0.0, lambda: 1e-6) for name in ROWS}
-    monkeypatch.setattr(bench, "SHORT", faked)
-    monkeypatch.setattr(
-        bench, "limit_kernel_workload", partial(limit_kernel_workload, steps=200, vectors=1)
-    )
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return monkeypatch
-
-
-def run_and_parse(capsys, monkeypatch, *options):
-    """The rows of a run, and what it says on stderr."""
-    monkeypatch.setattr(sys, "argv", ["bench.py", "--json", "--repeats", "2", *options])
-    bench.main()
-    told = capsys.readouterr()
-    return [json.loads(line) for line in told.out.splitlines()], told.err
-
-
-def write_tool(path, script):
-    """An executable that runs a line of Python."""
-    path.write_text(f"#!{sys.executable}\n{script}\n")
-    path.chmod(0o755)
-    return str(path)
 
 
 @pytest.fixture
@@ -108,35 +74,6 @@ def test_limit_kernel_runs(gcc, tmp_path):
     assert 0 < case.call() < 1
 
 
-def test_run_with_limit_kernel_leaves_no_temp_files(gcc, fake_workloads, tmp_path, capsys):
-    rows, said = run_and_parse(capsys, fake_workloads, "--limit")
-    assert [row["name"] for row in rows] == ["limit_kernel", *ROWS]
-    assert all(HOLDS.items() <= row.items() for row in rows)
-    assert said == ""
-    assert not list(tmp_path.iterdir())
-
-
-def test_missing_gcc_warns_and_skips_limit_kernel(fake_workloads, capsys):
-    fake_workloads.setattr(shutil, "which", lambda name: None)
-    rows, said = run_and_parse(capsys, fake_workloads, "--limit")
-    without, silent = run_and_parse(capsys, fake_workloads)
-    assert said == "warning: no limit kernel: gcc not found\n"
-    assert silent == ""
-    assert [row["name"] for row in rows] == [row["name"] for row in without] == ROWS
-
-
-@pytest.mark.parametrize(
-    ("script", "why"),
-    [("import os; os.kill(os.getpid(), 9)", "signal 9"), ("raise SystemExit(2)", "exit status 2")],
-)
-def test_failing_limit_kernel_raises_one_line_error(tmp_path, script, why):
-    case = limit_kernel_workload(write_tool(tmp_path / "gcc", ""), str(tmp_path))
-    write_tool(tmp_path / "limit", script)
-    with pytest.raises(InputError) as told:
-        case.call()
-    assert str(told.value) == f"the limit kernel failed: {why}"
-
-
 @pytest.fixture(scope="module")
 def small_group():
     axes = {"phi_u0_deg": [0.0, 10.0, 20.0, 30.0]}
@@ -175,7 +112,13 @@ def test_idle_lanes_are_not_counted_as_runs(small_group):
 
 @pytest.mark.nightly
 @pytest.mark.optimised(False)
-def test_engine_workload_runs_program_of_engine(small_group):
+def test_command_times_the_engine_and_the_limit_kernel(gcc, monkeypatch, capsys, small_group):
     group = cases.shorten_runs(small_group, 2)
-    case = cases.engine_workload("x", group, tiles=4, lanes=16, devices=2)
-    assert case.compile_s > 0 and case.call() > 0
+    engine = partial(cases.engine_workload, "engine", group, tiles=4, lanes=16, devices=2)
+    monkeypatch.setattr(bench, "SHORT", {"engine": engine})
+    monkeypatch.setattr(bench, "pin_to_one_core", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["bench.py", "--json", "--repeats", "2", "--limit"])
+    bench.main()
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row["name"] for row in rows] == ["limit_kernel", "engine"]
+    assert all(row["compile_s"] > 0 and row["median_s"] > 0 for row in rows)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from oracles.in_engine import ARCMIN, DEG_PER_H, PAPER1, UG, paper_filter, swing_increments
-from oracles.naive import DEG, PAPER, closed_loop, euler_matrix, exp, judge, log, wound_back
+from oracles.naive import DEG, FIVE, PAPER, closed_loop, euler_matrix, exp, judge, log, wound_back
 from scipy.spatial.transform import Rotation
 from support.batches import records_of
 from support.studies import small_study
@@ -95,21 +95,20 @@ def test_run_matches_naive_loop_and_metrics(way: Way) -> None:
     if way.replays:
         c = wound_back(c, rows[:begin], 1 / RATE, PAPER, LATITUDE)
     naive = closed_loop(
+        FIVE,
         rows,
         1 / RATE,
         PAPER,
-        latitude=LATITUDE,
-        c=c,
-        v=np.zeros(2) if begin else np.array([0.1, -0.2]),
-        filt=paper_filter(
+        paper_filter(
             5, every=40, gain=1 - np.exp(-0.2), resets=(215, 400), kind=way.resets, factor=7.0
         ),
+        (c, np.zeros(2) if begin else np.array([0.1, -0.2]), LATITUDE),
         count=every * records,
         first=1 if way.replays else begin + 1,
     )
     at = np.arange(way.coarse + 1, records + 1) * every
     rows = at - 1 - (0 if way.replays else begin)
-    corrected = (exp(naive.x[:, 2:5]) @ naive.c)[rows]
+    corrected = naive.corrected[rows]
     stored = way.stored or records
     places = [*range(1, stored + 1), *reversed(range(stored))] * records
     truth = np.stack([PAPER1.matrix(places[k // every - 1] * every / RATE) for k in at])

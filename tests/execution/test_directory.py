@@ -1,4 +1,4 @@
-"""A results directory: one writer, no links or pipes, and the files that may be removed."""
+"""A results directory: one writer, no links or pipes, sealed files, and files that may go."""
 
 import os
 import shutil
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 from support.studies import small_study
@@ -17,16 +18,15 @@ from support.sweep_directories import read_files_and_times
 import sinsjax
 from sinsjax import cli, plots
 from sinsjax.errors import InputError
-from sinsjax.execution import results as results_reading
+from sinsjax.execution import sealed
 from sinsjax.execution.directory import (
-    Manifest,
     check_unlocked,
     lock_directory,
     owned_files,
     remove_other_figures,
 )
 from sinsjax.execution.results import Results
-from sinsjax.study.identity import sections_to_json
+from sinsjax.platform import files
 from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 
@@ -85,9 +85,8 @@ def test_empty_results_directory_name_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    config = tmp_path / "none.toml"
-    for words in (("sweep", config), ("tune", config), ("rerun", tmp_path, "--run-id", "0")):
-        monkeypatch.setattr("sys.argv", ["sinsjax", *map(str, words), "-o", ""])
+    for words in (("sweep", "none.toml"), ("tune", "none.toml"), ("rerun", ".", "--run-id", "0")):
+        monkeypatch.setattr("sys.argv", ["sinsjax", *words, "-o", ""])
         with pytest.raises(SystemExit) as stop:
             cli.main()
         assert stop.value.code == 2
@@ -120,19 +119,12 @@ def replace_by_pipe(path: Path) -> None:
     os.mkfifo(path)
 
 
-def zero_bytes(path: Path) -> None:
-    path.unlink(missing_ok=True)
-    path.symlink_to("/dev/zero")
-
-
 PLACED: dict[str, Callable[[Path], None]] = {
     "manifest.json": replace_by_pipe,
-    "./manifest.json": zero_bytes,
     "study.toml": replace_by_link,
     ".lock": replace_by_pipe,
     "summary": replace_by_link,
-    "curves": replace_by_link,
-    "reruns": zero_bytes,
+    "reruns": lambda path: path.symlink_to("/dev/zero"),
 }
 
 
@@ -142,15 +134,13 @@ def test_links_and_pipes_in_results_are_refused_unchanged(
 ) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     PLACED[name](out / name)
-    named = rf"{Path(name).name}: is a link or a pipe"
     before = read_files_and_times(tmp_path)
     for attempt in (
-        lambda: sinsjax.run_into(STUDY, out),
         lambda: sinsjax.run_into(STUDY, out, resume=True),
         lambda: sinsjax.run_into(STUDY, out, overwrite=True),
         lambda: Results.read(out),
     ):
-        with pytest.raises(InputError, match=named):
+        with pytest.raises(InputError, match=rf"{name}: is a link or a pipe"):
             attempt()
     assert read_files_and_times(tmp_path) == before
 
@@ -167,44 +157,41 @@ def test_part_through_link_is_computed_again_and_its_target_kept(
     sinsjax.run_into(STUDY, out, resume=True)
     assert not part.is_symlink() and part.read_bytes() == content
     assert part.with_name(f"{part.name}.moved").read_bytes() == content
-    assert Results.read(out).runs == 18
-
-
-def test_directory_itself_may_be_a_link(results: Path, tmp_path: Path) -> None:
-    (tmp_path / "here").symlink_to(results)
+    (tmp_path / "here").symlink_to(out)  # the directory itself may be a link
     assert Results.read(tmp_path / "here").runs == 18
 
 
-@pytest.mark.parametrize("manifest", ["there", "lost"])
-def test_edited_study_of_results_is_named(results: Path, tmp_path: Path, manifest: str) -> None:
+def test_edited_study_of_results_is_named(results: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     study = stored_study(sensors={"gyro_bias_deg_per_h": 0.5})
     (out / "study.toml").write_text(study_to_toml(study))
-    if manifest == "lost":
-        (out / "manifest.json").unlink()
     words = (
         r"study\.toml: is not the study of the results: \[sensors\] gyro_bias_deg_per_h: "
         r"0\.1 in the results, 0\.5 in the file \(restore it, or delete it: .*--resume"
     )
-    if manifest == "lost":
-        words = r"out: manifest\.json is missing \(.*--resume"
     with pytest.raises(InputError, match=words):
         Results.read(out)
     sinsjax.run_into(STUDY, out, resume=True)
     assert Results.read(out).study == STUDY
 
 
-def test_results_of_a_study_with_settings_that_only_1_0_read_are_its_own() -> None:
-    """Version 1.0 wrote them into the manifest of every study with [tune]."""
-    study = small_study(tune={"variables": {"p0_yaw_deg": {"low": 10.0, "high": 90.0}}})
-    moved = study.motion.model_copy(update={"attitude_file": "gone.csv"})
-    study = study.model_copy(update={"motion": moved})
-    stored = sections_to_json(study)
-    stored["tune"] |= {"evolution_screen": 64, "evolution_steps": 12, "feedback_phases": 4}
-    begun = Manifest(identity="", study=stored)
-    assert results_reading._is_study_of(begun, study)
-    stored["tune"]["tune_draws"] = 3
-    assert not results_reading._is_study_of(begun.model_copy(update={"study": stored}), study)
+# --- seals --------------------------------------------------------------------------------------
+
+CONTENTS = {
+    "parquet": sealed.to_sealed_parquet(pa.table({"run_id": [1, 2]}), {"sinsjax.study": "0123"}),
+    "json": sealed.to_sealed_json({"state": "complete", "warnings": [f'{sealed.SEAL_KEY}": "1']}),
+}
+
+
+@pytest.mark.parametrize("kind", CONTENTS)
+def test_any_flipped_bit_is_noticed(kind: str) -> None:
+    content = CONTENTS[kind]
+    assert sealed.is_intact(content)
+    for place in range(len(content)):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << place % 8
+        assert not sealed.is_intact(bytes(flipped)), place
+        assert not sealed.is_intact(content[:place])
 
 
 def test_any_flipped_bit_of_results_is_named(results: Path, tmp_path: Path) -> None:
@@ -220,8 +207,22 @@ def test_any_flipped_bit_of_results_is_named(results: Path, tmp_path: Path) -> N
             with pytest.raises(InputError) as told:
                 assert Results.read(out).curves
             assert f"{path.name}: has changed since" in str(told.value)
-            assert "--resume" in str(told.value) and "\n" not in str(told.value)
+            assert "\n" not in str(told.value)
         path.write_bytes(content)
-    (out / "manifest.json").write_text("{}")
-    sinsjax.run_into(STUDY, out, resume=True)
     assert Results.read(out).runs == 18
+
+
+def test_only_regular_files_are_read_and_no_link_is_written_through(tmp_path: Path) -> None:
+    file, link, pipe = (tmp_path / name for name in ("file", "link", "pipe"))
+    file.write_bytes(b"content")
+    link.symlink_to(file)
+    os.mkfifo(pipe)
+    assert files.read_regular_file(file) == b"content"
+    for path, why in ((link, "is a symbolic link"), (pipe, "is not a regular file")):
+        with pytest.raises(InputError, match=f"{path.name}: {why}"):
+            files.read_regular_file(path)
+    (tmp_path / f".link.{os.getpid()}.tmp").symlink_to(file)
+    with files.atomic_write(link) as opened:
+        opened.write(b"new")
+    assert file.read_bytes() == b"content"
+    assert link.read_bytes() == b"new" and not link.is_symlink()

@@ -1,40 +1,49 @@
 """The information bound of a study, per variant, and the studies for which it is refused."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from oracles.white_noise_bound import white_noise_bound
-from support.studies import small_study
+from support.studies import STILL, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.execution.information import information_bound
 from sinsjax.strapdown import earth
+from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 
 STUDY = {"duration_s": 60.0, "report_times_s": [20.0], "window_s": [30, 60]}
 SENSORS = {"gyro_noise_deg_per_h": 0.1, "accel_noise_ug": 500.0, "gyro_bias_deg_per_h": 1.0}
+PLACE = earth.place(earth.wgs84(), 50 * DEG)
 
 
-def make_study(**changes):
+def make_study(**changes: Any) -> Study:
     given = {"study": STUDY, "sensors": SENSORS, "earth": {"latitude_deg": 50.0}}
     for name, change in changes.items():
         given[name] = given.get(name, {}) | change
     return small_study(**given)
 
 
-def test_variants_on_same_base_share_information_bound():
-    study = make_study(axes={"latitude_deg": [0.0, 50.0], "phi_u0_deg": [1.0, 30.0]})
-    table = information_bound(study)
-    assert table["variant_id"].to_pylist() == np.repeat(range(4), 2).tolist()
-    assert table["time_s"].to_pylist() == [20.0, 60.0] * 4
-    found = table["bound_u_arcmin"].to_numpy().reshape(2, 2, 2)
-    np.testing.assert_array_equal(found[:, 0], found[:, 1])
-    for latitude, own in zip((0.0, 50.0), found[:, 0], strict=True):
+def bound_of(**changes: Any) -> np.ndarray:
+    """Return the bounds of the study's variants at 20 s and 60 s, arcmin."""
+    table = information_bound(make_study(**changes))
+    variants = table.num_rows // 2
+    assert table["variant_id"].to_pylist() == np.repeat(range(variants), 2).tolist()
+    assert table["time_s"].to_pylist() == [20.0, 60.0] * variants
+    return table["bound_u_arcmin"].to_numpy().reshape(variants, 2)
+
+
+def test_variants_on_same_base_share_information_bound() -> None:
+    found = bound_of(axes={"latitude_deg": [0.0, 50.0], "phi_u0_deg": [1.0, 30.0]})
+    np.testing.assert_array_equal(found[::2], found[1::2])
+    for latitude, own in zip((0.0, 50.0), found[::2], strict=True):
         place = earth.place(earth.wgs84(), latitude * DEG)
         closed = white_noise_bound(
             np.array([20.0, 60.0]),
             gyro_noise=0.1 * DEG_PER_H,
             accel_noise=500 * micro_g(),
-            rate_hz=study.rate_hz,
+            rate_hz=100.0,
             gravity=place.gravity,
             rate_n=place.rate_n,
         )
@@ -42,12 +51,9 @@ def test_variants_on_same_base_share_information_bound():
 
 
 @pytest.mark.nightly
-def test_surge_raises_information_bound_and_method_does_not_change_it():
-    study = make_study(
-        motion={"surge_time_s": 2.0},
-        axes={"method": ["kalman5", "optimisation"], "surge_m_per_s": [0.0, 0.1]},
-    )
-    found = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2, 2)
+def test_surge_raises_information_bound_and_method_does_not_change_it() -> None:
+    axes = {"method": ["kalman5", "optimisation"], "surge_m_per_s": [0.0, 0.1]}
+    found = bound_of(motion={"surge_time_s": 2.0}, axes=axes).reshape(2, 2, 2)
     np.testing.assert_array_equal(found[0], found[1])
     assert np.all(found[0, 1] > 2 * found[0, 0])
 
@@ -70,84 +76,59 @@ def test_surge_raises_information_bound_and_method_does_not_change_it():
         ),
     ],
 )
-def test_information_bound_refuses_zero_noise_passes_and_drawn_latitude(changes, message):
+def test_information_bound_is_refused_where_it_is_unknown(changes: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         information_bound(make_study(**changes))
 
 
-def drawn_study(**laws):
-    """With drawn constant errors of the sensors."""
-    drawn = {key: {"normal": [0.1, sigma]} for key, sigma in laws.items()}
-    return make_study(sensors=dict.fromkeys(laws), drawn=drawn)
+def test_drawn_biases_of_parked_base_add_bias_floor_as_sigma() -> None:
+    """Fixed ones do not matter, since the bound is measured from their bias floor."""
+    known = bound_of()
+    unbiased = {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0}
+    np.testing.assert_array_equal(known, bound_of(sensors=unbiased))
+    sigmas = {"gyro_bias_deg_per_h": 1.0, "accel_bias_ug": 5000.0}
+    drawn = {key: {"normal": [0.1, sigma]} for key, sigma in sigmas.items()}
+    gyro, accel = 1.0 * DEG_PER_H / PLACE.rate_n, 5000 * micro_g() / PLACE.gravity
+    level = np.hypot(gyro, accel * PLACE.tan_latitude) / ARCMIN
+    found = bound_of(sensors=dict.fromkeys(drawn), drawn=drawn)
+    np.testing.assert_allclose(found, np.hypot(known, level), rtol=0.01)
 
 
-def test_fixed_biases_of_parked_base_do_not_change_bound():
-    fixed = information_bound(make_study())["bound_u_arcmin"].to_pylist()
-    unbiased = make_study(sensors={"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0})
-    assert fixed == information_bound(unbiased)["bound_u_arcmin"].to_pylist()
-
-
-def test_drawn_biases_of_parked_base_add_bias_floor_as_sigma():
-    place = earth.place(earth.wgs84(), 50 * DEG)
-    found = information_bound(drawn_study(gyro_bias_deg_per_h=1.0, accel_bias_ug=5000.0))
-    known = information_bound(make_study())["bound_u_arcmin"].to_numpy() * ARCMIN
-    gyro, accel = 1.0 * DEG_PER_H / place.rate_n, 5000 * micro_g() / place.gravity
-    level = np.sqrt(gyro**2 + (accel * place.tan_latitude) ** 2)
-    expected = np.sqrt(known**2 + level**2) / ARCMIN
-    np.testing.assert_allclose(found["bound_u_arcmin"].to_numpy(), expected, rtol=0.01)
-
-
-def test_drawn_scale_and_cross_axis_errors_act_on_earth_rate_as_biases():
-    place = earth.place(earth.wgs84(), 50 * DEG)
-    level = {"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 10.0}
-    drawn = {"gyro_misalignment_arcsec": {"normal": [0.0, 20000.0]}}
-    study = make_study(
-        motion={f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-        | {"yaw_center_deg": 0.0},
-        sensors=level,
-        drawn=drawn,
+def test_drawn_cross_axis_errors_act_on_earth_rate_as_biases() -> None:
+    """The east gyro measures part of the north and of the up component of the Earth rate."""
+    found = bound_of(
+        motion=STILL | {"yaw_center_deg": 0.0},
+        sensors={"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 10.0},
+        drawn={"gyro_misalignment_arcsec": {"normal": [0.0, 20000.0]}},
     )
-    # The east gyro measures part of the north and of the up component of the Earth rate.
-    sigma = 20000 * ARCMIN / 60 * np.hypot(1.0, place.rate_u / place.rate_n)
-    found = information_bound(study)["bound_u_arcmin"].to_numpy()[-1]
-    assert found == pytest.approx(sigma / ARCMIN, rel=0.02)
+    sigma = 20000 / 60 * np.hypot(1.0, PLACE.rate_u / PLACE.rate_n)
+    assert found[0, -1] == pytest.approx(sigma, rel=0.02)
 
 
-def test_surge_raises_bound_with_drawn_biases():
-    drawn = {"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}}
-    study = make_study(
+def test_surge_raises_bound_with_drawn_biases() -> None:
+    at_rest, surging = bound_of(
         motion={"surge_time_s": 2.0},
         sensors={"gyro_bias_deg_per_h": None},
-        drawn=drawn,
+        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}},
         axes={"surge_m_per_s": [0.0, 0.1]},
     )
-    at_rest, surging = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2)
     assert np.all(surging > 1.5 * at_rest)
 
 
-def test_fixed_errors_of_turning_base_count_as_sigmas():
+def test_fixed_errors_of_turning_base_count_as_sigmas() -> None:
     turning = {"turn_times_s": [20.0]}
-    fixed = make_study(motion=turning, sensors={"gyro_scale_ppm": -100.0, "accel_bias_ug": 0.0})
-    drawn = make_study(
-        motion=turning,
-        sensors={"gyro_bias_deg_per_h": None, "accel_bias_ug": 0.0},
-        drawn={
-            "gyro_bias_deg_per_h": {"normal": [3.0, 1.0]},
-            "gyro_scale_ppm": {"normal": [0.0, 100.0]},
-        },
-    )
-    found, expected = (information_bound(s)["bound_u_arcmin"].to_pylist() for s in (fixed, drawn))
-    assert found == expected
+    fixed = bound_of(motion=turning, sensors={"gyro_scale_ppm": -100.0, "accel_bias_ug": 0.0})
+    laws = {"gyro_bias_deg_per_h": [3.0, 1.0], "gyro_scale_ppm": [0.0, 100.0]}
+    sensors = {"gyro_bias_deg_per_h": None, "accel_bias_ug": 0.0}
+    drawn = {key: {"normal": law} for key, law in laws.items()}
+    np.testing.assert_array_equal(fixed, bound_of(motion=turning, sensors=sensors, drawn=drawn))
 
 
-def test_turn_gets_under_bias_floor_and_swept_turns_have_their_own_bounds():
-    study = make_study(
+def test_turn_gets_under_bias_floor_and_swept_turns_have_their_own_bounds() -> None:
+    (_, early), (before, late) = bound_of(
         motion={"turn_angles_deg": 180.0, "turn_rate_deg_per_s": 30.0},
         sensors={"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 50.0},
         axes={"turn_times_s": [[5.0], [27.0]]},
     )
-    (_, early), (before, late) = information_bound(study)["bound_u_arcmin"].to_numpy().reshape(2, 2)
-    floor = DEG_PER_H / earth.place(earth.wgs84(), 50 * DEG).rate_n / ARCMIN
-    assert before > 0.95 * floor
-    assert late < 0.3 * floor
-    assert late < early
+    floor = DEG_PER_H / PLACE.rate_n / ARCMIN
+    assert before > 0.95 * floor and late < 0.3 * floor and late < early

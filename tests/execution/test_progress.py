@@ -1,71 +1,74 @@
-"""The interruption of a running study."""
+"""The progress of a running study, and its interruption by a signal."""
 
 import io
 import os
 import signal
 import threading
-from collections.abc import Iterator
 
 import pytest
 from rich.console import Console
 
-from sinsjax.cli import progress
-
-
-def plain() -> tuple[Console, io.StringIO]:
-    file = io.StringIO()
-    return Console(file=file, width=40), file
-
-
-@pytest.fixture
-def handlers() -> Iterator[None]:
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    assert {n: signal.getsignal(n) for n in before} == before
+from sinsjax.cli import running
+from sinsjax.execution.progress import RunProgress, python_progress, show_progress
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_first_signal_requests_stop_and_second_exits(
-    handlers: None, monkeypatch: pytest.MonkeyPatch, number: int
+    monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    screen, file = plain()
-    ended: list[int] = []
-    monkeypatch.setattr(progress.os, "_exit", ended.append)
-    with progress.stop_on_signal(screen) as stop:
-        assert not stop.is_set()
-        os.kill(os.getpid(), number)
-        assert stop.wait(60)
-        for thread in threading.enumerate():
-            if thread is not threading.current_thread() and thread.daemon:
-                thread.join(0.2)
-        assert " ".join(file.getvalue().split()).startswith("Stopping after the running chunks")
-        assert not ended
-        os.kill(os.getpid(), number)
-        assert ended == [128 + number]
-
-
-def test_signal_during_console_write_is_safe(handlers: None) -> None:
     """A stream that is being written to must not be written to by a handler."""
 
     class Busy(io.StringIO):
-        writing = False
-        rang = False
+        writing = rang = False
 
         def write(self, text: str) -> int:
             if self.writing and threading.current_thread() is threading.main_thread():
                 raise RuntimeError("reentrant call")
             if "first" in text and not self.rang:
                 self.writing = self.rang = True
-                signal.raise_signal(signal.SIGINT)
+                os.kill(os.getpid(), number)
                 self.writing = False
             return super().write(text)
 
-    screen = Console(file=Busy(), width=200)
-    with progress.stop_on_signal(screen) as stop:
+    ended, screen = list[int](), Console(file=Busy(), width=200)
+    handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setattr(running.os, "_exit", ended.append)
+    with pytest.raises(ZeroDivisionError), running.stop_on_signal(screen) as stop:
+        assert not stop.is_set()
         screen.print("the first line")
-        assert stop.is_set()
-
-
-def test_signal_handlers_are_restored_after_error(handlers: None) -> None:
-    with pytest.raises(ZeroDivisionError), progress.stop_on_signal(plain()[0]):
+        assert stop.wait(60) and not ended
+        os.kill(os.getpid(), number)
+        assert ended == [128 + number]
         raise ZeroDivisionError
+    assert {n: signal.getsignal(n) for n in handlers} == handlers
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_counts_programs_runs_and_failures(terminal: bool) -> None:
+    file = io.StringIO()
+    console = Console(file=file, width=100, force_terminal=terminal)
+    with show_progress(console, "swing") as show:
+        show(RunProgress(0, 2000, 0, 0))
+        show(RunProgress(0, 2000, 0, 0, compiled=1, programs=2))
+        show(RunProgress(1000, 2000, 3, 0, compiled=2, programs=2))
+        show(RunProgress(2000, 2000, 4, 0, compiled=2, programs=2))
+    printed = file.getvalue()
+    if terminal:
+        assert "2000/2000" in printed and "runs, 4 failed" in printed
+    else:
+        lines = ["compiling 2 of 2 programs", "1,000 of 2,000 runs, 3 failed"]
+        lines += ["2,000 of 2,000 runs, 4 failed"]
+        assert printed.splitlines() == [f"swing: {line}" for line in lines]
+
+
+def test_python_shows_progress_on_request_and_calls_back(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sinsjax.execution.progress._PYTHON_AFTER_S", 0.0)
+    calls: list[RunProgress] = []
+    for shown in (None, True):
+        with python_progress("swing", shown, calls.append) as show:
+            assert show is not None
+            show(RunProgress(1000, 2000, 3, 0))
+    assert len(calls) == 2
+    assert capsys.readouterr().err == "swing: 1,000 of 2,000 runs, 3 failed\n"

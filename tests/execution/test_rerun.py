@@ -12,62 +12,54 @@ import pytest
 from rich.console import Console
 from support.commands import command_line
 from support.studies import add_true_reference, small_study, with_paper_values
-from support.sweep_directories import STUDIES, make_study, read_files_and_times, rewrite_manifest
+from support.sweep_directories import STUDIES, make_study, read_files_and_times
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
-from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import read_part_metadata, read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
-from sinsjax.methods import registry as methods
 from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
-pytestmark = pytest.mark.usefixtures("drawn_on_request")
+pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
 
-
-def rows_of_run(table: pa.Table, run_id: int) -> pa.Table:
-    return table.filter(pa.compute.equal(table["run_id"], run_id))
+SHORT = {"duration_s": 2.0, "window_s": [0, 2]}
 
 
 def assert_alone_as_among_others(
-    study: Study, stored: StoredRecord | None = None, *, curves: bool, runs: list[int]
+    study: Study, stored: StoredRecord | None = None, *, runs: list[int]
 ) -> None:
-    whole = study_run.run(study, stored, curves=curves)
+    whole = study_run.run(study, stored)
     for run_id in runs:
         again = rerun.repeat_run(study, run_id, stored)
         assert again.row.num_rows == 1
-        assert again.row.equals(rows_of_run(whole.summary, run_id)), run_id
-        if curves:
-            assert again.curve.equals(rows_of_run(whole.curves, run_id)), run_id
-        else:
-            assert whole.curves.num_rows == 0
+        for table, one in ((whole.summary, again.row), (whole.curves, again.curve)):
+            if table.num_rows:
+                assert one.equals(table.filter(pa.compute.equal(table["run_id"], run_id))), run_id
         last = again.curve.slice(again.curve.num_rows - 1)
         for name in ("phi_u_arcmin", "sigma_n_arcmin", "yaw_deg"):
             assert last[name].to_pylist() == again.row[name].to_pylist()
 
 
 @pytest.mark.nightly
-@pytest.mark.optimised(False)
 @pytest.mark.parametrize("name", STUDIES)
 def test_rerun_matches_run_of_whole_study(name: str) -> None:
     study = make_study(name)
     runs = study.n_draws * study.n_variants
     chosen = [0, 65, runs // 2 + 1, runs - 1]
     assert {run % study.n_variants for run in chosen} != {0}
-    assert_alone_as_among_others(study, curves=True, runs=chosen)
+    assert_alone_as_among_others(study, runs=chosen)
 
 
 @pytest.mark.nightly
-@pytest.mark.optimised(False)
 def test_rerun_matches_with_resets_tied_to_feedback() -> None:
     """Of the schedule and of a trigger; the clock of some runs in a tile starts anew."""
     study = small_study(
-        study={"draws": 20, "duration_s": 2.0, "window_s": [0, 2]},
+        study=SHORT | {"draws": 20, "curves": True},
         alignment={"feedback_interval_s": 0.3},
         filter={"r_velocity_m_per_s": 1e-3},
         resets={
@@ -78,21 +70,19 @@ def test_rerun_matches_with_resets_tied_to_feedback() -> None:
         },
         axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
     )
-    assert_alone_as_among_others(study, curves=True, runs=[1, 2, 77])
-
-
-def stopping_study() -> Study:
-    """Stops after 64 draws of 6 variants, which are compiled as those of "worlds" are."""
-    return small_study(
-        study={"draws": 150, "duration_s": 2.0, "window_s": [0, 2]},
-        stop_when={"statistic": "success_rate", "half_width": 0.4},
-        axes={"phi_u0_deg": [0.0, 1.0, 2.0], "reset_times_s": [[], [1.37]]},
-    )
+    assert_alone_as_among_others(study, runs=[1, 2, 77])
 
 
 @pytest.mark.nightly
+@pytest.mark.optimised(True)
 def test_rerun_matches_in_study_that_stopped_early() -> None:
-    assert_alone_as_among_others(stopping_study(), curves=False, runs=[5, 383])
+    """After 64 draws of 6 variants, compiled as shipped."""
+    study = small_study(
+        study=SHORT | {"draws": 150},
+        stop_when={"statistic": "success_rate", "half_width": 0.4},
+        axes={"phi_u0_deg": [0.0, 1.0, 2.0], "reset_times_s": [[], [1.37]]},
+    )
+    assert_alone_as_among_others(study, runs=[5, 383])
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -100,7 +90,7 @@ def test_rerun_matches_in_study_that_stopped_early() -> None:
 
 def recorded_study(**changes: Any) -> Study:
     sections = {
-        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+        "study": SHORT | {"rate_hz": 100.0, "curves": True},
         "alignment": {"phi_e0_deg": 1.0},
         "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
         "coarse": {"coarse_duration_s": 3.0},
@@ -115,18 +105,30 @@ def stored() -> StoredRecord:
 
 
 @pytest.mark.nightly
-@pytest.mark.optimised(False)
 @pytest.mark.parametrize("judged", [True, False])
 def test_rerun_matches_for_recorded_study(stored: StoredRecord, judged: bool) -> None:
     given = stored if judged else stored._replace(reference=None)
-    assert_alone_as_among_others(recorded_study(), given, curves=True, runs=[0, 6, 11])
+    assert_alone_as_among_others(recorded_study(), given, runs=[0, 6, 11])
+
+
+@pytest.mark.nightly
+def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, stored: StoredRecord) -> None:
+    path, other, out = tmp_path / "swing.imu", tmp_path / "other.imu", tmp_path / "out"
+    write_psins(stored.record, path)
+    write_psins(stored.record._replace(dv=stored.record.dv * 1.01), other)
+    study = recorded_study(earth={"latitude_deg": 32.0})
+    study_run.run_into(study, out, StoredRecord(read_psins(path, PSINS_LAYOUT), None))
+    with pytest.raises(InputError, match=r"needs a record \(give it with --record\)"):
+        rerun_into(out, 3)
+    with pytest.raises(InputError, match="the results are of another record or reference"):
+        rerun_into(out, 3, files=(other, None))
+    assert "The row is identical to the stored one" in rerun_into(out, 3, files=(path, None))
 
 
 # --- directories --------------------------------------------------------------------------------
 
 STUDY = small_study(
-    study={"draws": 4, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
-    axes={"p0_yaw_deg": [1.0 + i for i in range(64)]},
+    study=SHORT | {"draws": 4, "curves": True}, axes={"p0_yaw_deg": [1.0 + i for i in range(64)]}
 )
 """A draw fills a tile, so that one program runs all draws, or one again."""
 
@@ -145,7 +147,6 @@ def rerun_into(directory: Path, run_id: int, **options: Any) -> str:
 
 
 @pytest.mark.nightly
-@pytest.mark.optimised(False)
 def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -> None:
     before = read_files_and_times(out)
     told = rerun_into(out, 77, out=tmp_path / "one")
@@ -156,24 +157,19 @@ def test_rerun_from_directory_is_printed_and_stored(out: Path, tmp_path: Path) -
     curve = pq.read_table(tmp_path / "one" / "curve.parquet")
     assert curve["time_s"].to_pylist() == [1.0, 2.0]
     assert set(curve["run_id"].to_pylist()) == {77}
-    assert (tmp_path / "one" / "curve.png").exists()
     assert read_files_and_times(out) == before
     rerun_into(out, 78)
-    assert {p.name for p in (out / "reruns" / "78").iterdir()} == {
-        "summary.parquet",
-        "curve.parquet",
-        "curve.png",
-    }
-    assert read_summary(out).num_rows == STUDY.n_draws * STUDY.n_variants
+    there = {"summary.parquet", "curve.parquet", "curve.png"}
     study_run.run_into(STUDY, out, resume=True)
-    assert (out / "reruns" / "78" / "curve.parquet").exists()
+    assert {p.name for p in (out / "reruns" / "78").iterdir()} == there
+    assert read_summary(out).num_rows == STUDY.n_draws * STUDY.n_variants
 
 
 @contextmanager
 def change_headings(out: Path, by: float) -> Iterator[int]:
     """Change the stored headings of the first rows; return the number of columns."""
     (part, *_) = sorted(out.glob("summary/*.parquet"))
-    content, manifest = part.read_bytes(), (out / "manifest.json").read_bytes()
+    content = part.read_bytes()
     table, marks = pq.read_table(part), read_part_metadata(content)
     column = table.column_names.index("yaw_deg")
     yaw = pa.compute.add(table["yaw_deg"], by)
@@ -183,40 +179,19 @@ def change_headings(out: Path, by: float) -> Iterator[int]:
         yield table.num_columns
     finally:
         part.write_bytes(content)
-        (out / "manifest.json").write_bytes(manifest)
 
 
-@pytest.mark.optimised(False)
-def test_rerun_names_columns_that_differ_from_stored_row(out: Path, tmp_path: Path) -> None:
-    with change_headings(out, 1e-13) as columns:
-        told = rerun_into(out, 0, out=tmp_path / "one")
-    assert f"1 of {columns} columns differ from the stored row: yaw_deg " in told
-    assert "identical" not in told and " here. Last bits depend on jaxlib, " in told
-
-
-@pytest.mark.optimised(False)
 def test_rerun_command_exits_1_when_the_row_differs(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sinsjax = command_line(monkeypatch, capsys)
-    with change_headings(out, 1e-13):
+    with change_headings(out, 1e-13) as columns:
         code, said, _ = sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "one")
-    assert code == 1 and "differ from the stored row" in said
+    assert code == 1 and "identical" not in said
+    assert f"1 of {columns} columns differ from the stored row: yaw_deg " in said
     assert sinsjax("rerun", out, "--run-id", 0, "-o", tmp_path / "two")[0] == 0
 
 
-@pytest.mark.optimised(False)
-def test_rerun_reports_other_versions(
-    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(methods.PACKAGES, "kalman5", ("bringing", "1.1"))
-    with change_headings(out, 0.1):
-        rewrite_manifest(out, versions=read_manifest(out)["versions"] | {"bringing": "1.0"})
-        told = rerun_into(out, 0, out=tmp_path / "version")
-    assert " here. The stored row was computed with bringing 1.0 (here 1.1).\n" in told
-
-
-@pytest.mark.optimised(False)
 def test_invalid_rerun_raises_one_line_error(
     out: Path, tmp_path: Path, stored: StoredRecord
 ) -> None:
@@ -231,20 +206,3 @@ def test_invalid_rerun_raises_one_line_error(
     write_psins(stored.record, tmp_path / "swing.imu")
     with pytest.raises(InputError, match=r"has no \[record\] section"):
         rerun_into(out, 0, files=(tmp_path / "swing.imu", None))
-
-
-@pytest.mark.nightly
-@pytest.mark.optimised(False)
-def test_rerun_of_recorded_run_needs_same_record(tmp_path: Path, stored: StoredRecord) -> None:
-    path, other = tmp_path / "swing.imu", tmp_path / "other.imu"
-    write_psins(stored.record, path)
-    write_psins(stored.record._replace(dv=stored.record.dv * 1.01), other)
-    study = recorded_study(earth={"latitude_deg": 32.0})
-    read = StoredRecord(read_psins(path, PSINS_LAYOUT), None)
-    study_run.run_into(study, tmp_path / "out", read, curves=True)
-    with pytest.raises(InputError, match=r"needs a record \(give it with --record\)"):
-        rerun_into(tmp_path / "out", 3)
-    with pytest.raises(InputError, match="the results are of another record or reference"):
-        rerun_into(tmp_path / "out", 3, files=(other, None))
-    told = rerun_into(tmp_path / "out", 3, files=(path, None))
-    assert "The row is identical to the stored one" in told

@@ -24,8 +24,6 @@ from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
-COLUMNS = ["run_id", "draw_id", "variant_id"]
-
 
 def make_study(
     statistic: str = "success_rate", half_width: float = 0.1, draws: int = 1000, **changes: Any
@@ -33,21 +31,17 @@ def make_study(
     study = {"draws": draws, "duration_s": 2.0, "record_interval_s": 0.1, "window_s": [0, 2]}
     study |= {"judged_from": "floor", "dwell_s": 0.0, "level_band_arcmin": 600.0}
     study |= changes.pop("study", {})
-    changes["motion"] = STILL
     stop_when = {"statistic": statistic, "half_width": half_width}
-    axes = changes.pop("axes", {"phi_u0_deg": [0.0, 1.0]})
-    return small_study(study=study, stop_when=stop_when, axes=axes, **changes)
+    axes = changes.pop("axes", {"phi_u0_deg": [0.2, 1.0]})
+    return small_study(study=study, stop_when=stop_when, axes=axes, motion=STILL, **changes)
 
 
 @given(st.integers(1, 10**6))
 def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
-    looks = stopping.interim_draws(make_study(draws=cap))
     doubled = [64 * 2**i for i in range(20)]
-    assert looks == [n for n in doubled if n < cap] + [cap]
-
-
-def test_study_without_stop_when_has_single_analysis() -> None:
-    assert stopping.interim_draws(small_study(study={"draws": 1000})) == [1000]
+    expected = [n for n in doubled if n < cap] + [cap]
+    assert stopping.interim_draws(make_study(draws=cap)) == expected
+    assert stopping.interim_draws(small_study(study={"draws": cap})) == [cap]
 
 
 def clopper_pearson(k: int, n: int) -> float:
@@ -85,7 +79,7 @@ def test_interim_analysis_matches_naive_count(
     """Of all runs of the first draws, in any order, and of no later one; as the study judges."""
     name = {"floor": "settle_10_s", "truth": "settle_10_truth_s"}[judged]
     draws = len(settle) // variants
-    runs = list(range(draws * variants)) + [draws * variants + i for i in range(later * variants)]
+    runs = list(range((draws + later) * variants))
     settle = settle[: draws * variants] + [1e6] * (later * variants)
     random.shuffle(runs)
     table = pa.table(
@@ -106,21 +100,15 @@ def test_interim_analysis_matches_naive_count(
         ("settle_10_s_mean", means, 400 * wanted),
     ):
         study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
-        assert set(stopping.required_columns(study)) - set(COLUMNS) <= set(table.column_names)
-        found = stopping.analyse_interim(
-            study, table.select(stopping.required_columns(study)), draws
-        )
-        assert found.draws == draws
-        assert found.half_width == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
-        if not math.isclose(max(widths), half_width, rel_tol=1e-6):
-            assert found.is_sufficient == (max(widths) <= half_width)
+        rows = table.select(stopping.required_columns(study))
+        found = stopping.widest_half_width(study, rows, draws)
+        assert found == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
 
 
 # --- in a sweep ---------------------------------------------------------------------------------
 
 CASES = {
     "share": ("success_rate", 0.03, 1000, 256),
-    "share, first look": ("success_rate", 0.4, 1000, 64),
     "share, cap": ("success_rate", 0.0001, 150, 150),
     "settling time": ("settle_60_s_mean", 0.2, 1000, 256),
 }
@@ -128,15 +116,21 @@ CASES = {
 
 
 def sweep_of(name: str) -> Study:
-    statistic, half_width, cap, _ = CASES[name]
     return make_study(
-        statistic,
-        half_width,
-        cap,
+        *CASES[name][:3],
         sensors={"gyro_noise_deg_per_h": 200.0, "accel_noise_ug": 200000.0},
         alignment={"phi_e0_deg": 1.0, "phi_n0_deg": 1.0},
-        axes={"phi_u0_deg": [0.2, 1.0]},
     )
+
+
+class StopOnce(threading.Event):
+    """Lets one task pass."""
+
+    asked = 0
+
+    def is_set(self) -> bool:
+        self.asked += 1
+        return self.asked > 1
 
 
 @pytest.mark.nightly
@@ -144,59 +138,34 @@ def sweep_of(name: str) -> Study:
 def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     name: str, tmp_path: Path
 ) -> None:
-    study = sweep_of(name)
+    study, draws, out = sweep_of(name), CASES[name][3], tmp_path / "out"
     whole = study_run.run(study, chunk_runs=128)
-    draws = CASES[name][3]
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert not any(stopping.analyse_interim(study, whole.summary, n).is_sufficient for n in before)
+    assert all(stopping.widest_half_width(study, whole.summary, n) > CASES[name][1] for n in before)
     backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
-    interrupted(study, tmp_path / "out")
-    assert read_parts(tmp_path / "out") == read_parts(tmp_path / "back")
-    assert read_summary(tmp_path / "out").equals(whole.summary)
-    told = read_manifest_entries(tmp_path / "out")
+    one_by_one = Executor(lambda shop, tasks: map(shop.compute, tasks), {})
+    options: dict[str, Any] = {"chunk_runs": 128, "resume": True, "executor": one_by_one}
+    for _ in range(50):  # interrupted after every chunk
+        try:
+            study_run.run_into(study, out, stop=StopOnce(), **options)
+            break
+        except StudyInterrupted:
+            assert read_manifest_entries(out)["state"] == "interrupted"
+    assert read_parts(out) == read_parts(tmp_path / "back")
+    assert read_summary(out).equals(whole.summary)
+    told = read_manifest_entries(out)
     assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
     assert told["runs_done"] == 2 * draws
     again = TaskRecorder()
-    study_run.run_into(study, tmp_path / "out", resume=True, executor=again.executor)
+    study_run.run_into(study, out, resume=True, executor=again.executor)
     assert again.done == []
 
 
-def interrupted(study: Study, out: Path) -> None:
-    """Run a sweep that is interrupted after every chunk and resumed."""
-    for _ in range(50):
-        try:
-            study_run.run_into(
-                study,
-                out,
-                chunk_runs=128,
-                resume=True,
-                stop=StopOnce(),
-                executor=Executor(lambda shop, tasks: map(shop.compute, tasks), {}),
-            )
-            return
-        except StudyInterrupted:
-            assert read_manifest_entries(out)["state"] == "interrupted"
-    raise AssertionError("never complete")
-
-
-class StopOnce(threading.Event):
-    """Lets one task pass."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.asked = 0
-
-    def is_set(self) -> bool:
-        self.asked += 1
-        return self.asked > 1
-
-
 def test_stages_cover_every_draw_once() -> None:
-    study = sweep_of("share, cap")
-    runner = TaskRunner(Job(study))
+    runner = TaskRunner(Job(sweep_of("share, cap")))
     assert runner.stages == [range(0, 64), range(64, 128), range(128, 150)]
     names = [task.name for tasks in runner.plan_tasks() for task in tasks]
     assert len(set(names)) == len(names)

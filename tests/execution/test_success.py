@@ -11,7 +11,6 @@ from support.studies import STILL, small_study
 from sinsjax import analysis
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.study import success
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -51,12 +50,6 @@ def test_status_follows_judged_from(judged_from: str | None, status: list[str]) 
 def test_success_requires_dwell_in_band(dwell_s: float, ok: bool) -> None:
     """The first run is within 10' of its bias floor from 1 s to its end at 6 s."""
     assert summary_of(study={"dwell_s": dwell_s})["ok_floor"].to_pylist() == [ok, False]
-
-
-@pytest.mark.parametrize(("end_s", "dwell_s"), [(6.0, 0.6), (300.0, 30.0), (900.0, 30.0)])
-def test_default_dwell_is_tenth_of_duration_up_to_30_s(end_s: float, dwell_s: float) -> None:
-    found = success.success_criteria(small_study()).dwell(np.array([end_s]))
-    assert found == pytest.approx(dwell_s)
 
 
 @pytest.mark.parametrize(

@@ -31,38 +31,17 @@ from sinsjax.study.load import study_from_dict
 pytestmark = pytest.mark.optimised(False)
 
 
-@pytest.fixture(scope="module", params=STUDIES)
-def name(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture(scope="module")
-def reference(name: str) -> study_run.Results:
-    return study_run.run(make_study(name))
-
-
-def assert_same(one: study_run.Results, other: study_run.Results) -> None:
-    """To the last bit; `equals` takes every nan for another."""
-    for a, b in zip(one, other, strict=True):
-        assert a.schema.equals(b.schema)
-        assert a.equals(b)
-
-
 @pytest.mark.nightly(fast=("drawn",))
-def test_rows_do_not_depend_on_chunk_size(name: str, reference: study_run.Results) -> None:
-    """The smallest, and one that holds all runs."""
-    assert_same(study_run.run(make_study(name), chunk_runs=2), reference)
-    if name == "worlds":
-        assert_same(study_run.run(make_study(name), chunk_runs=10**6), reference)
-
-
-@pytest.mark.nightly(fast=("drawn",))
-def test_result_bytes_do_not_depend_on_task_order_or_runner(
-    name: str, reference: study_run.Results, tmp_path: Path
-) -> None:
-    """Every task has a separate runner."""
-    study, chunk_runs = make_study(name), 128
-    study_run.run_into(study, tmp_path / "there", chunk_runs=chunk_runs)
+@pytest.mark.parametrize("name", STUDIES)
+def test_rows_do_not_depend_on_chunks_tasks_or_later_draws(name: str, tmp_path: Path) -> None:
+    """Chunks of the smallest and largest size; shuffled tasks, each with a separate runner."""
+    study = make_study(name)
+    reference = study_run.run(study)
+    for chunk_runs in (2, 10**6) if name == "worlds" else (2,):
+        again = study_run.run(study, chunk_runs=chunk_runs)
+        assert all(
+            a.schema.equals(b.schema) and a.equals(b) for a, b in zip(again, reference, strict=True)
+        )
 
     def elsewhere(runner: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
@@ -70,31 +49,13 @@ def test_result_bytes_do_not_depend_on_task_order_or_runner(
         for task in todo:
             yield TaskRunner(runner.job).compute(task)
 
-    executor = Executor(elsewhere, {})
-    study_run.run_into(study, tmp_path / "here", chunk_runs=chunk_runs, executor=executor)
-    assert read_parts(tmp_path / "here") == read_parts(tmp_path / "there")
-    read = (read_summary(tmp_path / "here"), read_curves(tmp_path / "here"))
-    for a, b in zip(read, reference, strict=True):
+    here, there = tmp_path / "here", tmp_path / "there"
+    study_run.run_into(study, there, chunk_runs=128)
+    study_run.run_into(study, here, chunk_runs=128, executor=Executor(elsewhere, {}))
+    assert read_parts(here) == read_parts(there)
+    for a, b in zip((read_summary(here), read_curves(here)), reference, strict=True):
         assert a.cast(b.schema).equals(b)
 
-
-@pytest.mark.nightly(fast=("drawn",))
-def test_additional_draws_leave_earlier_rows_unchanged(
-    name: str, reference: study_run.Results
-) -> None:
-    study = make_study(name)
-    fewer = make_study(name, study.n_draws - 17)
-    count = fewer.n_draws * fewer.n_variants
-    got = study_run.run(fewer)
-    assert got.summary.equals(reference.summary.slice(0, count))
-    assert got.curves.equals(
-        reference.curves.filter(pa.compute.less(reference.curves["run_id"], count))
-    )
-
-
-@pytest.mark.nightly(fast=("drawn",))
-def test_summary_and_curves_contain_every_run_once(name: str, reference: study_run.Results) -> None:
-    study = make_study(name)
     runs = np.arange(study.n_draws * study.n_variants)
     lengths = study.lengths.to_list()
     np.testing.assert_array_equal(reference.summary["run_id"], runs)
@@ -103,8 +64,11 @@ def test_summary_and_curves_contain_every_run_once(name: str, reference: study_r
     records = [lengths[run % study.n_variants].records for run in runs]
     np.testing.assert_array_equal(reference.curves["run_id"], np.repeat(runs, records))
 
-
-# --- tasks --------------------------------------------------------------------------------------
+    fewer = study_run.run(make_study(name, study.n_draws - 17))
+    count = fewer.summary.num_rows
+    assert fewer.summary.equals(reference.summary.slice(0, count))
+    before = pa.compute.less(reference.curves["run_id"], count)
+    assert fewer.curves.equals(reference.curves.filter(before))
 
 
 @settings(max_examples=15)
@@ -136,39 +100,36 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
     record = simulated_record(small_study())
     time_s = np.arange(0, 6.01, 0.01)
     level = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
-    tilted = level._replace(attitude_deg=level.attitude_deg + 1e-12)
-    late = level._replace(time_s=time_s + 1e-9)
-    turned = record._replace(dtheta=record.dtheta * (1 + 1e-15))
     records = [
         StoredRecord(record, None),
-        StoredRecord(turned, None),
+        StoredRecord(record._replace(dtheta=record.dtheta * (1 + 1e-15)), None),
         StoredRecord(record._replace(rate_hz=100.0000001), None),
         StoredRecord(record, level),
-        StoredRecord(record, tilted),
-        StoredRecord(record, late),
+        StoredRecord(record, level._replace(attitude_deg=level.attitude_deg + 1e-12)),
+        StoredRecord(record, level._replace(time_s=time_s + 1e-9)),
     ]
     known = [Job(study, stored).identity for stored in records]
-    known.append(Job(small_study()).identity)
-    known.append(Job(small_study(study={"seed": 2})).identity)
+    known += [Job(small_study()).identity, Job(small_study(study={"seed": 2})).identity]
     assert len(set(known)) == len(known)
     moved = StoredRecord(record._replace(source="elsewhere"), level._replace(source="elsewhere"))
     assert Job(study, moved).identity == Job(study, records[3]).identity
     assert Job(small_study(study={"name": "other"}), None, True, 64).identity == known[-2]
 
 
-def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first thread compiles a part; the others wait."""
+def test_threads_compile_each_program_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first thread compiles a program; the others wait. Runs that failed are counted."""
     made: list[int] = []
 
-    def slow(self: TaskRunner, part: int, draws: range) -> Any:
-        made.append(part)
+    def slow(self: TaskRunner, program: int, draws: range) -> Any:
+        made.append(program)
         time.sleep(0.02)  # in which other threads could begin
         return SimpleNamespace(compute=lambda call: None)
 
+    status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
+    rows = {"summary": pa.table({"status": status})}
     monkeypatch.setattr(TaskRunner, "_make_chunks", slow)
-    runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
-    rows = {"summary": pa.table({"status": ["ok"]})}
     monkeypatch.setattr(TableBuilder, "make_tables", lambda builder, chunk, variant_ids: rows)
+    runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     (tasks,) = runner.plan_tasks()
     assert len(tasks) > 4
     threads = [threading.Thread(target=runner.compute, args=(task,)) for task in tasks]
@@ -177,19 +138,7 @@ def test_threads_compile_each_part_once(monkeypatch: pytest.MonkeyPatch) -> None
     for thread in threads:
         thread.join()
     assert sorted(made) == [0, 1]
-
-
-def test_failures_count_diverged_and_nonfinite_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
-    rows = {"summary": pa.table({"status": status})}
-    monkeypatch.setattr(TableBuilder, "make_tables", lambda builder, chunk, variant_ids: rows)
-    runner = TaskRunner(Job(small_study()))
-    assert runner.compute(runner.plan_tasks()[0][0]).failures == 3
-
-
-def test_record_for_simulated_study_is_refused() -> None:
-    with pytest.raises(InputError, match="reads no record"):
-        TaskRunner(Job(small_study(), StoredRecord(simulated_record(small_study()), None)))
+    assert runner.compute(tasks[0]).failures == 3
 
 
 def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
@@ -211,3 +160,8 @@ def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
     runner.close()
     assert [result.task for result in found] == tasks
     assert told == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_record_for_simulated_study_is_refused() -> None:
+    with pytest.raises(InputError, match="reads no record"):
+        TaskRunner(Job(small_study(), StoredRecord(simulated_record(small_study()), None)))

@@ -14,7 +14,9 @@ import sinsjax
 from fuzzing.edits import HiddenValue, edit_tables, mangle_bytes
 from sinsjax.execution.sealed import SEAL_KEY
 
-STUDY = small_study(study={"duration_s": 2.0, "window_s": [0, 2], "curves": True})
+STUDY = small_study(
+    study={"duration_s": 2.0, "window_s": [0, 2], "curves": True, "success_band_arcmin": 6000.0}
+)
 MANIFEST, TEXT = "manifest.json", "study.toml"
 
 

@@ -1,5 +1,6 @@
 """Records and references as text, with the study that reads them: heads, units, times and cells."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
@@ -31,13 +32,7 @@ _HEADS = [
 
 
 class Case(NamedTuple):
-    """A record with the study that reads it.
-
-    Attributes:
-        study: its tables.
-        record: content of the file.
-        reference: content of the file, or None.
-    """
+    """Tables of a study, and the content of the record and the reference that it reads."""
 
     study: dict[str, Any]
     record: bytes
@@ -48,20 +43,22 @@ class Case(NamedTuple):
 def record_cases(draw: st.DrawFn) -> Case:
     """Draw a record of four seconds at rest in any layout, with some changes."""
     quantity = draw(st.sampled_from(list(GYRO_UNITS)))
-    time_unit = draw(st.sampled_from(list(TIME_UNITS)))
     head = draw(st.sampled_from(_HEADS)).split()
     section: dict[str, Any] = {
         "format": draw(st.sampled_from(["csv"] * 6 + ["psins", "parquet"])),
         "quantity": quantity,
         "time_column": head[0],
-        "time_unit": time_unit,
+        "time_unit": draw(st.sampled_from(list(TIME_UNITS))),
         "gyro_columns": head[1:4],
         "accel_columns": head[4:],
         "gyro_unit": draw(st.sampled_from(list(GYRO_UNITS[quantity]))),
         "accel_unit": draw(st.sampled_from(list(ACCEL_UNITS[quantity]))),
     }
+    rows = [head, *_samples(draw(st.sampled_from([0.0, 1000.0, -5.0, 1.7e9])), **section)]
     if section["format"] == "psins":
         section = {"format": "psins"}
+        rows = [["1e-9", "1e-6", "0.1"], ["32", "0", "0"], ["0", "0", "0"]]
+        rows += [["0", "6", "4", "0", "0", "980000"]] * 40
     if draw(st.booleans()):
         key = draw(st.sampled_from([place for place in KEYS if place[0] == "record"]))
         section[key[1]] = draw(value_strategy(key))
@@ -69,70 +66,47 @@ def record_cases(draw: st.DrawFn) -> Case:
     if draw(st.booleans()):
         rate_hz = draw(st.sampled_from([10.0, 10.0, 9.9, 100.0, 1e-3]))
         study["study"] = study["study"] | {"rate_hz": rate_hz}
-    lines = (
-        _psins_rows() if section["format"] == "psins" else _csv_rows(draw, quantity, section, head)
-    )
-    record = _change_rows(draw, lines)
-    return Case(study, record, _draw_reference(draw) if draw(st.booleans()) else None)
-
-
-def _csv_rows(
-    draw: st.DrawFn, quantity: str, section: dict[str, Any], head: list[str]
-) -> list[list[str]]:
-    unit = str(section.get("gyro_unit")), str(section.get("accel_unit"))
-    gyro = GYRO_UNITS[quantity].get(unit[0], 1.0)
-    accel = ACCEL_UNITS[quantity].get(unit[1], 1.0)
-    interval_factor = 1.0 if quantity == "rates" else 1 / _RATE
-    force, rate = _G * interval_factor / accel, 7.3e-5 * interval_factor / gyro
-    begin = draw(st.sampled_from([0.0, 1000.0, -5.0, 1.7e9]))
-    scale = TIME_UNITS.get(str(section.get("time_unit")), 1.0)
-    rows = [head]
-    for k in range(40):
-        time = begin + (k + 1) / _RATE
-        if section.get("time_unit") == "iso":
-            stamp = f"2026-01-01T00:00:{(k + 1) / _RATE:06.3f}"
-        else:
-            stamp = f"{time / scale:.17g}"
-        numbers = (0.0, rate * 0.85, rate * 0.53, 0.0, 0.0, force)
-        rows.append([stamp, *(f"{x:.17g}" for x in numbers)])
-    return rows
-
-
-def _psins_rows() -> list[list[str]]:
-    head = [["1e-9", "1e-6", "0.1"], ["32", "0", "0"], ["0", "0", "0"]]
-    return head + [["0", "6", "4", "0", "0", "980000"] for _ in range(40)]
-
-
-def _draw_reference(draw: st.DrawFn) -> bytes:
     yaw = draw(st.sampled_from(["yaw_deg", "heading_deg", "yaw_ccw_deg", "x"]))
-    rows = [["time_s", "pitch_deg", "roll_deg", yaw]]
-    rows += [[f"{t / 2:g}", "0", "0", f"{t}"] for t in range(12)]
-    return _change_rows(draw, rows)
+    angles = [["time_s", "pitch_deg", "roll_deg", yaw]]
+    angles += [[f"{t / 2:g}", "0", "0", f"{t}"] for t in range(12)]
+    record = _change_rows(draw, rows)
+    return Case(study, record, _change_rows(draw, angles) if draw(st.booleans()) else None)
+
+
+def _samples(
+    begin_s: float, quantity: str, time_unit: str, gyro_unit: str, accel_unit: str, **_: Any
+) -> Iterator[list[str]]:
+    per_sample = 1.0 if quantity == "rates" else 1 / _RATE
+    rate = 7.3e-5 * per_sample / GYRO_UNITS[quantity][gyro_unit]
+    force = _G * per_sample / ACCEL_UNITS[quantity][accel_unit]
+    for k in range(1, 41):
+        stamp = f"{(begin_s + k / _RATE) / TIME_UNITS[time_unit]:.17g}"
+        if time_unit == "iso":
+            stamp = f"2026-01-01T00:00:{k / _RATE:06.3f}"
+        yield [stamp, *(f"{x:.17g}" for x in (0.0, rate * 0.85, rate * 0.53, 0.0, 0.0, force))]
 
 
 def _change_rows(draw: st.DrawFn, rows: list[list[str]]) -> bytes:
     """Return rows as text, with some rows, cells and bytes changed."""
     rows = [list(row) for row in rows]
     for _ in range(draw(st.integers(0, 3))):
-        if not rows:
-            break
         index = draw(st.integers(0, len(rows) - 1))
-        kinds = ["cell", "cell", "cell", "drop", "double", "swap", "cut", "cells", "gap"]
-        kind, row = draw(st.sampled_from(kinds)), rows[index]
+        kind = draw(
+            st.sampled_from(["cell", "cell", "cell", "double", "swap", "cut", "add", "gap"])
+        )
+        row = rows[index]
         if kind == "cell" and row:
             cell = draw(st.sampled_from(CELLS) | st.floats().map(str))
             row[draw(st.integers(0, len(row) - 1))] = cell
-        elif kind == "drop":
-            del rows[index]
         elif kind == "gap":
-            del rows[index : index + draw(st.integers(1, 30))]
+            rows[index : index + draw(st.integers(1, 30))] = [[]]
         elif kind == "double":
             rows.insert(index, list(row))
         elif kind == "swap":
             rows[index], rows[-1] = rows[-1], rows[index]
         elif kind == "cut":
             rows[index] = row[: draw(st.integers(0, max(0, len(row) - 1)))]
-        elif kind == "cells":
+        elif kind == "add":
             rows[index] = [*row, draw(st.sampled_from(CELLS))]
     delimiter = draw(st.sampled_from([",", ",", ",", ";", "\t", " ", ", "]))
     end = draw(st.sampled_from(["\n", "\n", "\r\n", "\r"]))

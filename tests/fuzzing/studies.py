@@ -70,31 +70,17 @@ def value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
 
 
 def _draw_law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
+    """Draw a distribution of a drawn key, or a range of a tuned one."""
+    kinds = ["uniform", "normal", "values", "grid", "fixed", "candidates", "low", "list"]
+    kind = draw(st.sampled_from(kinds))
     number = st.floats(-10, 400) | st.sampled_from([0, 1, 1e12, -1e12, 1e300])
-    values = st.lists(value_strategy(place), max_size=5)
-    kinds = {
-        "uniform": st.lists(number, min_size=2, max_size=2).map(sorted),
-        "normal": st.lists(number.map(abs), min_size=2, max_size=2),
-        "values": values,
-        "grid": values,
-    }
-    kind = draw(st.sampled_from(sorted(kinds)))
-    return {kind: draw(kinds[kind])}
-
-
-def _draw_range(draw: st.DrawFn, place: tuple[str, str]) -> Any:
-    value = value_strategy(place)
-    ends = st.lists(st.floats(1e-3, 400), min_size=2, max_size=2).map(sorted)
-    kind = draw(st.sampled_from(["ends", "log", "list", "fixed", "candidates"]))
-    if kind == "fixed":
-        return {"fixed": draw(value)}
-    if kind == "candidates":
-        return {"candidates": draw(st.lists(value, max_size=4))}
-    if kind == "list":
-        pairs = draw(st.lists(ends, max_size=3))
-        return [{"low": low, "high": high} for low, high in pairs]
-    low, high = draw(ends)
-    return {"low": low, "high": high} | ({"scale": "log"} if kind == "log" else {})
+    low, high = sorted([draw(number), draw(number)])
+    if kind in ("uniform", "normal"):
+        return {kind: [low, high]}
+    if kind in ("low", "list"):
+        ends = {"low": low, "high": high}
+        return [ends] * draw(st.integers(0, 2)) if kind == "list" else ends | {"scale": "log"}
+    return {kind: draw(value_strategy(place) | st.lists(value_strategy(place), max_size=4))}
 
 
 def _get_table(data: dict[str, Any], section: str) -> dict[str, Any]:
@@ -133,7 +119,7 @@ def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
         tune = _get_table(data, "tune")
         tune.setdefault("searches", ["sobol"])
         table = _get_table(tune, draw(st.sampled_from(["variables", "variables", "baseline"])))
-        table[place[1]] = _draw_range(draw, place)
+        table[place[1]] = _draw_law(draw, place)
     else:
         place = draw(st.sampled_from(_SWEPT))
         _remove_key(data, place)

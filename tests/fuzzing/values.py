@@ -3,22 +3,17 @@
 import copy
 import datetime
 import functools
-import itertools
-import types
 import typing
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, Union, get_args, get_origin
+from collections.abc import Mapping
+from typing import Any, Literal, get_args, get_origin
 
-from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from sinsjax.value_types import KeyInfo, key_info
+from sinsjax.value_types import key_info
 
 Strategy = st.SearchStrategy[Any]
-
-_CLOSED = 1e-9  # inside of an open bound, relatively
 
 NUMBERS = [
     *(0, 1, -1, 2, 3, 10, 100, 2**31, 2**53, 2**63, -(2**63), 2**64, 10**30, 10**400),
@@ -63,92 +58,47 @@ def misfit_values() -> Strategy:
     return some.map(copy.deepcopy)  # what one edit puts in, the next one may change
 
 
-_fields: dict[int, Strategy] = {}
+@functools.cache
+def _leaves(annotation: Any) -> frozenset[Any]:
+    """Return the types and literals within a type, such as float and "auto"."""
+    if get_origin(annotation) is Literal:
+        return frozenset(get_args(annotation))
+    parts = get_args(annotation)[: 1 if get_origin(annotation) is typing.Annotated else None]
+    return frozenset().union(*map(_leaves, parts)) if parts else frozenset([annotation])
+
+
+@functools.cache
+def _values_of_leaf(leaf: Any, low: float, high: float) -> Strategy:
+    numbers = [x for x in (0.0, 0.01, 0.5, 1.0, 2.0, 6.0, 30.0, 600.0) if low <= x <= high]
+    if leaf is float:  # half of them are those at which rules between keys hold
+        return st.floats(low, high) | st.sampled_from([*numbers, low, high])
+    if leaf is int:
+        return st.integers(int(low), int(high)) | st.integers(0, 8)
+    if leaf in (bool, str):
+        return st.booleans() if leaf is bool else st.text(max_size=6) | st.sampled_from(TEXTS)
+    if isinstance(leaf, type):
+        return draw_table(leaf.model_fields) if issubclass(leaf, BaseModel) else misfit_values()
+    return st.just(leaf) if isinstance(leaf, str) else misfit_values()
 
 
 def values_of_field(field: FieldInfo) -> Strategy:
-    """Return a strategy for values that a key accepts, according to its type."""
-    if id(field) not in _fields:  # which live as long as the schema
-        _fields[id(field)] = values_of_type(field.annotation, (*field.metadata, key_info(field)))
-    return _fields[id(field)]
-
-
-def values_of_type(annotation: Any, metadata: tuple[Any, ...] = ()) -> Strategy:
-    """Return a strategy for values of a type with its bounds."""
-    while get_origin(annotation) is typing.Annotated:
-        annotation, *more = get_args(annotation)
-        fields = (extra.metadata if isinstance(extra, FieldInfo) else [extra] for extra in more)
-        metadata = (*metadata, *itertools.chain.from_iterable(fields))
-    made = _PLAIN.get(annotation)
-    if made is not None:
-        return made(metadata)
-    origin, inside = get_origin(annotation), get_args(annotation)
-    if origin is Literal:
-        return st.sampled_from(inside)
-    if origin in (Union, types.UnionType):
-        parts = [part for part in inside if part is not type(None)]
-        return st.one_of([values_of_type(part, metadata) for part in parts])
-    if origin is tuple:
-        usual = tuple(m for m in metadata if isinstance(m, KeyInfo))
-        if Ellipsis in inside:
-            most = next((m.max_length for m in metadata if isinstance(m, MaxLen)), 4)
-            least = next((m.min_length for m in metadata if isinstance(m, MinLen)), 0)
-            return st.lists(
-                values_of_type(inside[0], usual), min_size=least, max_size=max(4, least, most)
-            )
-        return st.tuples(*(values_of_type(part, usual) for part in inside)).map(list)
-    if origin is dict:
-        return st.dictionaries(st.text(max_size=4), values_of_type(inside[1]), max_size=2)
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return draw_table(annotation.model_fields)
-    return misfit_values()
+    """Return a strategy for values of a key according to its type, most of them valid."""
+    low, high = key_info(field).usual_range or (0.0, 1e12)
+    leaves = sorted(_leaves(field.annotation) - {type(None), Ellipsis}, key=repr)
+    one = st.one_of([_values_of_leaf(leaf, low, high) for leaf in leaves])
+    text = repr(field.annotation)
+    if "dict" in text:
+        return st.dictionaries(st.text(max_size=4), one, max_size=2)
+    return one | st.lists(one, max_size=4) if "tuple" in text else one
 
 
 def draw_table(fields: Mapping[str, FieldInfo], most: int = 4) -> Strategy:
-    """Return a strategy for tables of a section with all required keys and valid values."""
-    needed = {key: values_of_field(field) for key, field in fields.items() if field.is_required()}
+    """Return a strategy for tables of a section with all required keys."""
 
     @st.composite
     def some(draw: st.DrawFn) -> dict[str, Any]:
+        needed = [key for key, field in fields.items() if field.is_required()]
         keys = draw(st.lists(st.sampled_from(sorted(fields)), max_size=most, unique=True))
-        made = {key: draw(strategy) for key, strategy in needed.items()}
-        return made | {key: draw(values_of_field(fields[key])) for key in keys}
+        return {key: draw(values_of_field(fields[key])) for key in dict.fromkeys([*needed, *keys])}
 
     return some()
-
-
-def _bounds(metadata: tuple[Any, ...], low: float, high: float) -> tuple[float, float]:
-    for rule in metadata:
-        if isinstance(rule, Ge):
-            low = max(low, float(rule.ge))  # type: ignore[arg-type]
-        elif isinstance(rule, Gt):
-            least = float(rule.gt)  # type: ignore[arg-type]
-            low = max(low, least + _CLOSED * max(1.0, abs(least)))
-        elif isinstance(rule, Le):
-            high = min(high, float(rule.le))  # type: ignore[arg-type]
-        elif isinstance(rule, Lt):
-            most = float(rule.lt)  # type: ignore[arg-type]
-            high = min(high, most - _CLOSED * max(1.0, abs(most)))
-        elif isinstance(rule, KeyInfo) and rule.usual_range:
-            low, high = max(low, rule.usual_range[0]), min(high, rule.usual_range[1])
-    return low, high
-
-
-def _floats(metadata: tuple[Any, ...]) -> Strategy:
-    low, high = _bounds(metadata, -1e12, 1e12)
-    handy = [x for x in (0.0, 0.01, 0.5, 1.0, 2.0, 6.0, 30.0, 600.0) if low <= x <= high]
-    # Half of them are those at which rules between keys hold.
-    return st.floats(low, high) | st.sampled_from([*handy, low, high])
-
-
-def _integers(metadata: tuple[Any, ...]) -> Strategy:
-    low, high = map(int, _bounds(metadata, -(2.0**40), 2.0**40))
-    return st.integers(low, high) | st.integers(max(low, 0), min(high, 8))
-
-
-_PLAIN: dict[Any, Callable[[tuple[Any, ...]], Strategy]] = {
-    float: _floats,
-    int: _integers,
-    bool: lambda metadata: st.booleans(),
-    str: lambda metadata: st.text(min_size=1, max_size=6) | st.sampled_from(TEXTS),
-}

@@ -343,7 +343,7 @@ def _advice_tables() -> dict[str, Any]:
 
     sheets = {path.stem: sinsjax.advise(path) for path in sorted((HERE / "sheets").glob("*.toml"))}
     sheets["kvh1775"] = sinsjax.advise(
-        imu="kvh1775", latitude_deg=55.0, time_s=200.0, motion="surge"
+        imu="kvh1775", latitude_deg=55.0, time_s=200.0, motion="surging"
     )
     tables = {f"advice {name}": flattened(advice.to_dict()) for name, advice in sheets.items()}
     far_north = {"earth.latitude_deg": 60.0, "filter.r_velocity_m_per_s": 0.05}

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.in_engine import place
+from oracles.in_engine import dense, place
 from oracles.naive import DEG, PAPER, WGS84, exp, skew
 from oracles.naive_filters import about_up, unscented_transform, upright
 from scipy.linalg import expm
 from support.studies import small_study
 
 from sinsjax import run as run_study
-from sinsjax.maths.algebra import entries_as_numbers
 from sinsjax.methods import azimuth as model
 from sinsjax.methods import sincos, surge
 from sinsjax.methods.filters.kalman import Belief
@@ -25,13 +24,6 @@ from sinsjax.strapdown import processes
 pytestmark = pytest.mark.optimised(False)
 
 LATITUDE, DT, SURGE_S = 32 * DEG, 0.01, 2.0
-
-
-def dense(entries, n):
-    matrix = np.zeros((n, n))
-    for at, value in entries_as_numbers(entries).items():
-        matrix[at] = value
-    return matrix
 
 
 def rates_at_rest(a, x, planet):
@@ -145,8 +137,7 @@ def test_north_drift_estimate_and_sigma_are_consistent():
 
 def test_surge_model_autocovariance_matches_bounded_velocity():
     """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
-    params = surge.SurgeParams(1 / SURGE_S)
-    a = dense(surge.transition(place(WGS84, LATITUDE), params, 1.0), 10)
+    a = dense(surge.transition(place(WGS84, LATITUDE), 1 / SURGE_S, 1.0), 10)
     dt, rms = 0.05, 0.3
     whole = processes.bounded_velocity_process(np.full(3, rms), SURGE_S, 1e3, 1e-3)
     stationary = whole.begin @ whole.begin.T

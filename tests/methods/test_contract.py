@@ -1,6 +1,6 @@
 """What every alignment method has to do, whatever it is made of.
 
-A new method is found in the registry; `support.methods` is the only table of methods in the tests.
+A new method is found in the registry.
 """
 
 from functools import cache
@@ -10,22 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles.in_engine import (
-    ARCMIN,
     PAPER1,
-    loops,
     navigation,
-    paper_params,
-    runner,
     site,
     step_and_close,
     swing_increments,
 )
-from oracles.naive import DEG, PAPER, Loops, azimuth_gains, exp, level_gains, log, of_quaternion
-from support.methods import FACTS
+from oracles.naive import DEG, PAPER, exp
 from support.studies import small_study
 
 from sinsjax.engine.scenario import Scenario
-from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import UNKNOWN_ANGLE, Options
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import sensors
@@ -35,15 +29,11 @@ pytestmark = pytest.mark.optimised(False)
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
 SWING = PAPER1._replace(center=np.array([0.05, -0.1, 2.0]))
 
-FILTERS = [name for name in METHODS if name in FACTS and FACTS[name].states]
 FITTED = [name for name, method in METHODS.items() if method.program.block_fit]
 STEPPED = [name for name in METHODS if name not in FITTED]
 methods = pytest.mark.parametrize("name", METHODS)
 few = pytest.mark.nightly(fast=("compass", "kalman5", "kalman_sincos", "level"))
 """With and without P, and with and without a heading of the start."""
-
-COMPASS = Loops(level_gains(0.3, PAPER), ((20.0 * RATE, azimuth_gains(0.1, PAPER)),), 0.01)
-"""Loops quick enough for a minute: sigma 0.3 1/s in level, from 20 s on 0.1 1/s in azimuth."""
 
 
 def method_of(name, **choices):
@@ -52,19 +42,10 @@ def method_of(name, **choices):
 
 
 @cache
-def params_of_study(name):
+def numbers(name, **alignment):
     """The method's params of a small study."""
-    group = Scenario(small_study(alignment={"method": name})).batch(0)
+    group = Scenario(small_study(alignment={"method": name} | alignment)).batch(0)
     return jax.tree.map(lambda a: np.asarray(a)[0], group.params.method)
-
-
-def numbers(name, **changes):
-    if name == "compass":
-        return loops(COMPASS, REVERSALS["reflect"])
-    if name not in FILTERS:
-        return params_of_study(name)
-    given, extra = paper_params(FACTS[name].states, **changes), FACTS[name].extra
-    return given if extra is None else given._replace(extra=np.float64(extra))
 
 
 # Its steps
@@ -77,17 +58,6 @@ def increments():
 
 def nav_off(phi, v=(0.0, 0.0)):
     return navigation(exp(-np.asarray(phi)) @ SWING.matrix(0.0), v, LATITUDE)
-
-
-def run(name, phi, v=(0.0, 0.0), **changes):
-    """Misalignment left every second (rad), sigmas (seconds, 3), and speed (m/s)."""
-    given, here = numbers(name, **changes), site(PAPER, LATITUDE)
-    every_sample = runner(name)(given, here, nav_off(phi, v), increments())
-    state, q, p = jax.tree.map(lambda a: a[RATE - 1 :: RATE], every_sample)
-    c = of_quaternion(np.stack(q, axis=1))
-    left = [log(SWING.matrix(k + 1.0) @ c[k].T) for k in range(SECONDS)]
-    sigma = None if p is None else np.sqrt(np.stack([p.ee, p.nn, p.uu], axis=1))
-    return np.array(left), sigma, np.hypot(state.nav.ve, state.nav.vn)
 
 
 @few
@@ -152,14 +122,6 @@ def test_run_depends_on_its_own_start_alone(name):
             np.testing.assert_allclose(c[place], a, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.nightly(fast=("inertial", "level"))
-@pytest.mark.parametrize("name", [n for n in STEPPED if "phi_u0_deg" in METHODS[n].idle_keys])
-def test_start_without_effect_changes_no_bit(name):
-    alone, _ = flight(name)
-    one, other = (method_of(name).attitude(alone(nav)) for nav in (START, nav_off([1.0, 2.0, 3.0])))
-    np.testing.assert_array_equal(one, other)
-
-
 SHARING = [
     (name, force, position)
     for name in METHODS
@@ -182,7 +144,11 @@ def test_shared_covariance_does_not_depend_on_the_start(name, force, position):
 @pytest.mark.parametrize("name", STEPPED)
 def test_tangents_are_finite_at_zero_error(name):
     """There a root or an arc tangent might have none."""
-    method, here, filt = method_of(name), site(PAPER, LATITUDE), numbers(name, every=1)
+    method, here, filt = (
+        method_of(name),
+        site(PAPER, LATITUDE),
+        numbers(name, feedback_interval_s=0.01),
+    )
     sample = jax.tree.map(
         lambda a: a[0], sensors.compensate_record(increments()[:1], increments()[0])
     )
@@ -195,27 +161,6 @@ def test_tangents_are_finite_at_zero_error(name):
     ones = jax.tree.map(lambda a: np.ones_like(a, dtype=float), point)
     tangent = jax.jit(lambda *given: jax.jvp(after, *given)[1])(point, ones)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))
-
-
-@pytest.mark.nightly(fast=("compass", "kalman5"))
-@pytest.mark.parametrize("name", [n for n in METHODS if n in FACTS and FACTS[n].stays_at_truth])
-def test_run_started_at_truth_stays_at_truth(name):
-    left, _, speed = run(name, np.zeros(3), **({"every": 10} if name in FILTERS else {}))
-    assert np.abs(left).max() < 1e-3 * ARCMIN
-    assert speed.max() < 1e-6
-
-
-@pytest.mark.nightly(fast=("compass", "kalman5"))
-@pytest.mark.parametrize("name", ["compass", *FILTERS])
-def test_run_levels_and_then_finds_north(name):
-    phi = np.array([10.0, -10.0, 60.0]) * ARCMIN
-    changes = {"every": 100} if name in FILTERS else {}
-    left, sigma, _ = run(name, phi, v=(0.05, -0.05), **changes)
-    # Level first, in seconds; north slowly, out of the Earth's rate.
-    assert np.abs(left[20:, :2]).max() < 0.2 * ARCMIN
-    assert abs(left[-1, 2]) < 30 * ARCMIN
-    # Within what is believed, if anything is.
-    assert name not in FILTERS or np.all(sigma[-1] < sigma[0])
 
 
 # Its passes over a stored record

@@ -111,23 +111,6 @@ def study_of(method: str, **changes: Any) -> Study:
     return study_from_dict(with_paper_values(data))
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("method", ["kalman5", "kalman_sincos", "kalman_surge"])
-def test_up_gyro_moves_heading_off_its_floor_by_half_its_drift(method: str) -> None:
-    """As the floor's definition states: -eps_U T/2, T since the start or the last reset."""
-    study = study_of(
-        method,
-        study={"duration_s": 900.0, "window_s": [800.0, 900.0]},
-        sensors={"gyro_bias_deg_per_h": [0.0, 0.0, 0.1]},
-        alignment={"phi_u0_deg": 1.0},
-        filter={"q_reading": "psd", "q_accel_ug": 20.0, "q_gyro_deg_per_h": 0.01},
-        axes={"reset_times_s": [[], [300.0]]},
-    )
-    for since_s, (phi, floor, _) in zip((900.0, 600.0), ends(study), strict=True):
-        assert floor == pytest.approx(0.0, abs=1e-9)
-        assert phi[2] / ARCMIN == pytest.approx(-0.1 * 60 / 3600 * since_s / 2, rel=0.01)
-
-
 def closed_form(eps: Any, latitude: float) -> float:
     """phi_U, rad, of gyro biases in deg/h."""
     north = RATE * np.cos(latitude * DEG) + eps[1]
@@ -203,20 +186,6 @@ def test_compass_lag_changes_sign_with_pass_direction() -> None:
         assert phi[2] == pytest.approx(floor, abs=0.5 * ARCMIN)
 
 
-@pytest.mark.nightly
-@pytest.mark.optimised(False)
-def test_bias_averages_over_fast_sway_but_not_slow_sway() -> None:
-    """Yaw +-90 deg: J0(pi/2) of the bias is left, but in 20 minutes not with a period of 30."""
-    axes = {"yaw_period_s": [100.0, 1800.0], "gyro_bias_deg_per_h": [(5.0, 0.0, 0.0)]}
-    filt = SETTLING | {"q_gyro_deg_per_h": 0.1, "q_accel_ug": 50.0}
-    study = study_of("kalman5", motion=SWAY, filter=filt, axes=axes)
-    (quick, floor, _), (slow, none, _) = ends(study)
-    want = closed_form((5.0 * 0.47200121576823484, 0.0), 60.0)
-    assert floor == pytest.approx(want, rel=1e-12) and np.isnan(none)
-    assert abs(quick[2] - want) < ARCMIN
-    assert abs(slow[2] - want) > 60 * ARCMIN
-
-
 def runs_with_floor(study: Study, last_reset_s: float = 0.0) -> list[bool]:
     """Of the first draw's runs."""
     ids = np.arange(study.n_variants)
@@ -261,6 +230,8 @@ def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
     }
     wgs84 = {"earth": "wgs84"}
     found = hidden_north(study_of("kalman5", study={"draws": 8}, earth=wgs84, drawn=drawn))
-    assert found is not None
-    assert found[:2] == pytest.approx((9.0, np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H))
-    assert found[2:] == (2, 8)
+    rate = np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H
+    assert (
+        found is not None and f"up to 9 deg/h, the level part of the Earth rate {rate:.3g}" in found
+    )
+    assert ": 2 of 8 runs cannot find north" in found

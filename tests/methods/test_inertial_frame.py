@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.in_engine import measured, navigation, place, runner, site
+from oracles.in_engine import follow, measured, place, shown, site
 from oracles.naive import DEG, PAPER, WGS84, compensate, exp, log, of_quaternion
 from scipy.integrate import quad_vec
 from scipy.spatial.transform import Rotation
 
-from sinsjax.methods import least_squares
-from sinsjax.methods.least_squares import dominant_eigenvector, reaction_velocity
+from sinsjax.methods import inertial_frame
+from sinsjax.methods.inertial_frame import dominant_eigenvector, reaction_velocity
+from sinsjax.methods.method import Options
 from sinsjax.units import ARCMIN
 
 RATE, SECONDS, LATITUDE = 100, 60, 32 * DEG
@@ -38,7 +39,7 @@ def test_dominant_eigenvector_is_accurate_for_close_eigenvalues(seed, gap, size,
     found = np.array(jax.jit(dominant_eigenvector)(triangle, jnp.asarray(10**size * (1 + above))))
     assert np.linalg.norm(found) == pytest.approx(1, rel=1e-14)
     off = axes[:, 0] * np.sign(axes[:, 0] @ found) - found
-    near, distant = np.split(axes.T @ np.transpose(least_squares._STARTS), 2)
+    near, distant = np.split(axes.T @ np.transpose(inertial_frame._STARTS), 2)
     first, second = np.linalg.norm(distant @ np.linalg.inv(near), axis=0)
     reach = 1 - max(-0.9, -1.1 + gap)
     first, second = first * (above / reach) ** 2, second * ((above + gap) / reach) ** 2
@@ -60,8 +61,10 @@ def test_reaction_velocity_matches_numerical_integral(t, latitude_deg):
 @cache
 def attitudes(name, seconds=SECONDS):
     """Those after every second of the record."""
-    nav = navigation(np.eye(3), np.zeros(2), LATITUDE)
-    _, q, _ = runner(name)((), site(PAPER, LATITUDE), nav, record()[: seconds * RATE])
+    rows, start = record()[: seconds * RATE], (np.eye(3), np.zeros(3), np.zeros(2))
+    options, here = Options(1 / RATE), site(PAPER, LATITUDE)
+    state = follow(name, (), rows, here, start, options=options, records=len(rows))
+    q, _ = shown(name, options, state)
     return of_quaternion(np.stack(q, axis=1)[RATE - 1 :: RATE])
 
 

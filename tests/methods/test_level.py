@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from oracles.in_engine import ARCMIN, DEG_PER_H, UG, navigation, place, runner, site
+from oracles.in_engine import ARCMIN, DEG_PER_H, UG, follow, place, shown, site
 from oracles.naive import DEG, WGS84, exp, of_quaternion
 from scipy.spatial.transform import Rotation
 from support.studies import STILL, small_study
 
 import sinsjax
+from sinsjax.methods.method import Options
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -30,8 +31,10 @@ def noisy_record(gyro_bias: float = 0.0) -> np.ndarray:
 
 def attitudes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """C_b^n (n, 3, 3) and the covariance (n, 6) after every sample."""
-    nav = navigation(exp([1.0, -2.0, 3.0]), np.array([0.3, -0.4]), LATITUDE)
-    _, q, covariance = runner("level")(TILT, site(WGS84, LATITUDE), nav, rows)
+    start = exp([1.0, -2.0, 3.0]), np.zeros(3), (0.3, -0.4)
+    options, here = Options(1 / RATE), site(WGS84, LATITUDE)
+    state = follow("level", TILT, rows, here, start, options=options, records=len(rows))
+    q, covariance = shown("level", options, state)
     return of_quaternion(np.stack(q, axis=1)), np.stack(covariance, axis=1)
 
 

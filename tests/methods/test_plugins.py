@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from sinsjax.methods import registry
 from sinsjax.methods.method import Method
-from sinsjax.methods.plugins import load_plugins
 from sinsjax.platform import runtime
 from sinsjax.value_types import Section
 
@@ -59,9 +59,13 @@ def test_broken_plugin_has_one_line_reason_and_others_load(
 ) -> None:
     points = point(function), point(lambda: described("other"), "other")
     monkeypatch.setattr(runtime, "method_entry_points", lambda: points)
-    found = load_plugins([BUILT_IN])
-    assert found.methods["own"] is BUILT_IN and list(found.methods) == ["own", "other"]
-    assert list(found.sections) == ["lagged"] and found.packages == {"other": ("maker", "1.0")}
-    (line,) = found.broken["made"].splitlines()
+    for name in ("METHODS", "SECTIONS_OF_METHODS", "PACKAGES", "BROKEN"):
+        monkeypatch.setattr(registry, name, {})
+    registry.add_method(BUILT_IN)
+    registry.add_plugins()
+    assert registry.METHODS["own"] is BUILT_IN and list(registry.METHODS) == ["own", "other"]
+    assert list(registry.SECTIONS_OF_METHODS) == ["lagged"]
+    assert registry.PACKAGES == {"other": ("maker", "1.0")}
+    (line,) = registry.BROKEN["made"].splitlines()
     assert line.startswith("entry point 'made' in sinsjax.methods of maker 1.0: ")
-    assert reason in line and list(found.broken) == ["made"]
+    assert reason in line and list(registry.BROKEN) == ["made"]

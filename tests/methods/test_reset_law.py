@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.commands import Command
 from support.refusals import Refusal, refused
-from support.studies import BASE, STILL, refusal_line, small_study
+from support.studies import refusal_line, small_study
 
 from sinsjax import load_study, reset_schedule, run
 from sinsjax.methods import reset_law
@@ -123,11 +123,6 @@ QUICK = GRAVITY._replace(feedback_s=0.1)
 LEVEL = 5 * (1 + 1j) * DEG
 
 
-def predicted(problem: ResetProblem, times: tuple[float, ...], *headings: float) -> list[float]:
-    lanes = [Lane(problem, times, heading * DEG, LEVEL) for heading in headings]
-    return predict_settling_times(lanes, 900.0).tolist()
-
-
 AXES = {
     "reset_times_s": [[2.0, 4.0, 80.0], [2.0, 4.0, 60.0, 120.0]],
     "phi_u0_deg": [10.0, 90.0, 150.0],
@@ -158,22 +153,6 @@ PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step
 PER_STEP |= {"r_reading": "psd"}
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("force", MEASURED)
-def test_noise_free_alignments_still_do_what_was_measured(force: str) -> None:
-    study = small_study(
-        study={"duration_s": 500.0, "draws": 1, "window_s": [400, 500], "rate_hz": 50.0},
-        motion=STILL,
-        sensors=dict.fromkeys(BASE["sensors"], 0.0),
-        alignment={"specific_force": force, "feedback_interval_s": 0.1},
-        filter=PER_STEP,
-        resets={},
-        axes=AXES,
-    )
-    measured = run(study, curves=False).summary["settle_10_s"].to_numpy()
-    np.testing.assert_allclose(measured, MEASURED[force], rtol=0, atol=1.0)
-
-
 def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
     """Turned with the heading, the tilt makes 2 tan(phi/2) contract by 1 + s0^2 J."""
     problem = QUICK._replace(measurement_noise=1e-4, velocity=10.0)
@@ -183,29 +162,6 @@ def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
         law = np.interp(ratio, reset_law.contraction(times, problem), times)
         (told,) = predict_settling_times([Lane(problem, (), heading * DEG)], 600.0)
         assert told == pytest.approx(law, rel=0.01)
-
-
-def test_small_p0_of_velocity_delays_filters_limited_by_r() -> None:
-    """Cell L4: 317 s measured with 0.1 m/s and 154 s with 1 m/s; the law says 153 s."""
-    problem = cell(NOISY, q=1e-3)
-    times = (2.0, 4.0, 6.0, 69.0)
-    (tight,) = predicted(problem, times, 150)
-    (wide,) = predicted(problem._replace(velocity=1.0), times, 150)
-    assert tight == pytest.approx(317, rel=0.1) and wide == pytest.approx(154, rel=0.05)
-
-
-def test_standing_tilt_keeps_runs_from_settling() -> None:
-    """As measured: without reset (R6), and from large headings at 75 deg with 10 and 60 s (R9)."""
-    assert predicted(PAPER, (), 45, 90, 150) == [math.inf] * 3
-    small, large = predicted(cell(PAPER, latitude=75, feedback_s=0.1), (10.0, 60.0), 10, 150)
-    assert small < 500 and math.isinf(large)
-
-
-def test_each_run_may_have_its_own_noise() -> None:
-    lanes, sigmas = [Lane(CELLS["R10"][0], (2.0, 80.0), 45 * DEG)] * 3, (0.0, 0.75, 1.15)
-    together = predict_settling_times(lanes, 600.0, 10 * ARCMIN, sigmas).tolist()
-    alone = [predict_settling_times(lanes[:1], 600.0, 10 * ARCMIN, one)[0] for one in sigmas]
-    assert together == alone == sorted(set(alone))
 
 
 # In a study
@@ -267,16 +223,6 @@ def test_schedule_command_shows_times(sinsjax: Command) -> None:
     code, out, _ = sinsjax("schedule", "reset_sweep", "--set", places[0], "--set", places[1])
     gravity = [line for line in out.splitlines() if 'specific_force "gravity"' in line]
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
-
-
-def test_plan_has_the_settings_that_its_times_need() -> None:
-    study = small_study(**LONG, resets=LAW)
-    plan = reset_schedule(study)
-    assert plan.settings["reset_velocity_m_per_s"] == 1.0
-    changes = {f"resets.{key}": value for key, value in plan.settings.items()}
-    listed = study.replace({"resets.schedule": "times"} | changes)
-    keys = ("reset_times_s", "reset_velocity_m_per_s")
-    assert [*listed.combinations(*keys)] == [*study.combinations(*keys)]
 
 
 def test_plan_states_what_noise_and_instability_add() -> None:

@@ -1,20 +1,19 @@
 """The naive module's descriptions as inputs of the engine."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from support.alone import set_up_alone
-from support.methods import FIVE, TEN
 
-from oracles.naive import DEG, STATES, WGS84, Filter, Loops, Planet, Swing, quaternion
+from oracles.naive import DEG, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
-from sinsjax.maths.algebra import triangle_index
+from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods import compass
 from sinsjax.methods.compass_design import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
@@ -65,49 +64,18 @@ def site(planet: Planet, latitude: float) -> Site:
     return jax.tree.map(np.float64, Site(model(planet), place(planet, latitude), latitude))
 
 
-PAPER_P0 = {
-    **dict.fromkeys(("dve", "dvn"), 0.1),
-    **dict.fromkeys(("phi_e", "phi_n"), 15 * DEG),
-    "phi_u": 80 * DEG,
-    **dict.fromkeys(("nabla_x", "nabla_y"), 500 * UG),
-    **dict.fromkeys(("eps_x", "eps_y", "eps_z"), 0.1 * DEG_PER_H),
-}
+_PAPER_P0 = np.array(
+    [0.1, 0.1, 15 * DEG, 15 * DEG, 80 * DEG, *[500 * UG] * 2, *[0.1 * DEG_PER_H] * 3]
+)
 """Initial standard deviations of [P1]; those of the biases are ours."""
 
-PAPER_Q = {
-    **dict.fromkeys(("dve", "dvn"), 500 * UG),
-    **dict.fromkeys(("phi_e", "phi_n", "phi_u"), 0.1 * DEG_PER_H),
-    **dict.fromkeys(("nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z"), 0.0),
-}
+_PAPER_Q = np.array([*[500 * UG] * 2, *[0.1 * DEG_PER_H] * 3, *[0.0] * 5])
 """Process noise of a step, as standard deviations."""
-
-_STATES_OF = {len(states): states for states in (FIVE, TEN)}
 
 
 def paper_filter(n: int, **changes) -> Filter:
     """[P1]'s filter of n = 5 or 10 states, Q per step."""
-    return _paper_filter(STATES[:n], changes)
-
-
-def paper_params(states: Sequence[str], **changes) -> FilterParams:
-    """Numbers of [P1]'s filter with the states of a model of the engine, in its order."""
-    return filter_params(_paper_filter(states, changes))
-
-
-def _paper_filter(states: Sequence[str], changes: dict[str, Any]) -> Filter:
-    p0, q = (np.array([of[name] for name in states]) ** 2 for of in (PAPER_P0, PAPER_Q))
-    return Filter(p0, q, 0.1**2)._replace(**changes)
-
-
-def by_state(values: np.ndarray) -> tuple[Any, ...]:
-    """One value a state, from the naive module's order to that of the engine's model."""
-    of = dict(zip(STATES, values, strict=False))
-    return tuple(of[name] for name in _STATES_OF[len(of)])
-
-
-def params(filt: Filter) -> FilterParams:
-    """Numbers of [P1]'s filter; the naive order of states is not the engine's."""
-    return filter_params(filt._replace(p0=by_state(filt.p0), q=by_state(filt.q)))
+    return Filter(_PAPER_P0[:n] ** 2, _PAPER_Q[:n] ** 2, 0.1**2)._replace(**changes)
 
 
 def filter_params(filt: Filter) -> FilterParams:
@@ -174,43 +142,10 @@ def loops(given: Loops, turn: Sequence[float]) -> compass.LoopParams:
     )
 
 
-def record_world(
-    rows: np.ndarray, here: Site, *, pass_intervals: int, errors: sensors.SensorErrors | None = None
-) -> Environment:
-    """An environment whose truth is not known: a record and a site."""
-    never = Criteria(np.zeros(1), *(np.float64(0.0),) * 4)
-    perfect = sensors.error_free_sensors() if errors is None else errors
-    return Environment(
-        site=here,
-        errors=perfect,
-        biases=NO_BIASES,
-        seed=np.asarray(11),
-        criteria=never,
-        pass_intervals=np.asarray(pass_intervals),
-        increments=rows,
-        attitudes=np.full((1, 1, 4), np.nan),
-    )
-
-
-class Start(NamedTuple):
-    """The attitude of a run before its misalignment, and its params."""
-
-    q: Quat
-    params: RunParams
-
-
-def one_run(c: np.ndarray, phi: Any, v: Any, method: Any) -> Start:
-    """A run that starts from the attitude c, off by phi (rad), with the velocity v (m/s)."""
-    q = Quat(*map(np.float64, quaternion(c)))
-    params = RunParams(Vec3(*map(np.float64, phi)), *map(np.float64, v), method)
-    return Start(q, params)
-
-
 @partial(jax.jit, static_argnums=0)
-def trail(spec: ProgramSpec, environment: Environment, start: Start) -> Any:
-    """The state of the method at every record of one run of the engine, leaves (records, ...)."""
-    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0), start.q)
-    runs = set_up_alone(spec, environment, draw, start.params)
+def _trail(spec: ProgramSpec, environment: Environment, q: Quat, params: RunParams) -> Any:
+    draw = Draw(jnp.asarray(0), jnp.asarray(0), jnp.asarray(0), q)
+    runs = set_up_alone(spec, environment, draw, params)
     unknown = Quat(*(jnp.full(1, jnp.nan) for _ in range(4)))
 
     def record(tile: TileState, number: Any) -> tuple[TileState, Any]:
@@ -234,15 +169,26 @@ def follow(
     stored: int | None = None,
     rewinds: bool = False,
 ) -> Any:
-    """The `trail` of a run over a record of measurements, from an attitude, phi and velocity.
+    """The state of a method at every record of one run of the engine, leaves (records, ...).
 
-    A record of ``stored`` records is read forward and backward in turn, or is rewound.
+    The run starts from an attitude, off by a phi (rad), with a velocity (m/s). Its truth is not
+    known. A record of ``stored`` records is read forward and backward in turn, or is rewound.
     """
     passes = "rewind" if rewinds else "alternate"
     spec = ProgramSpec(name, options, every, records, curves=False, passes=passes)
-    return trail(
-        spec, record_world(rows, here, pass_intervals=stored or records), one_run(*start, params)
+    environment = Environment(
+        site=here,
+        errors=sensors.error_free_sensors(),
+        biases=NO_BIASES,
+        seed=np.asarray(11),
+        criteria=Criteria(np.zeros(1), *(np.float64(0.0),) * 4),
+        pass_intervals=np.asarray(stored or records),
+        increments=rows,
+        attitudes=np.full((1, 1, 4), np.nan),
     )
+    c, phi, v = start
+    given = RunParams(Vec3(*map(np.float64, phi)), *map(np.float64, v), params)
+    return _trail(spec, environment, Quat(*map(np.float64, quaternion(c))), given)
 
 
 def shown(name: str, options: Options, states: Any) -> tuple[Quat, Any]:
@@ -263,38 +209,18 @@ def covariances(triangle: Sequence[Any]) -> np.ndarray:
     return np.moveaxis(np.array(triangle)[order], (0, 1), (-2, -1))
 
 
+def dense(entries, n):
+    """The matrix (n, n) of entries by place."""
+    matrix = np.zeros((n, n))
+    for at, value in entries_as_numbers(entries).items():
+        matrix[at] = value
+    return matrix
+
+
 def step_and_close(method, params, site, state, sample, n):
     """A sample of a run taken alone."""
     state = method.step(params, site, state, sample, n)
     return method.feedback.close(params, state, n) if method.feedback else state
-
-
-@cache
-def runner(
-    name: str, force: str = "measured", position: str = "fixed", rate: int = 100
-) -> Callable:
-    """A compiled run: (numbers, site, navigation, increments) -> after every sample.
-
-    Returns:
-        The state, the attitude with all that is estimated taken out, and its covariance; the
-        attitude is scaled to unit length every second, as the engine does at every record.
-    """
-    method = METHODS[name].build(Options(1 / rate, force, position, innovations=True))
-
-    @jax.jit
-    def run(filt: Any, here: Site, nav: Navigation, increments: Any) -> Any:
-        samples = sensors.compensate_record(increments, increments[0])
-        counts = 1.0 + jnp.arange(float(len(increments)))
-
-        def step(state: Any, xs: Any) -> Any:
-            state = step_and_close(method, filt, here, state, *xs)
-            due = xs[1] % rate == 0
-            state = jax.tree.map(partial(jnp.where, due), method.normalise(state), state)
-            return state, (state, *_shown(method, state))
-
-        return jax.lax.scan(step, method.init(filt, nav), (samples, counts))[1]
-
-    return run
 
 
 @cache

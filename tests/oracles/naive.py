@@ -5,6 +5,7 @@ it is compared with.
 Vectors and matrices are arrays, attitude is a matrix C_b^n.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -147,12 +148,8 @@ def error_matrix_10(velocity, f, planet, latitude, c):
     return a
 
 
-STATES = ("dve", "dvn", "phi_e", "phi_n", "phi_u", "nabla_x", "nabla_y", "eps_x", "eps_y", "eps_z")
-"""The order of states here; a filter of five has the first five."""
-
-
 class Filter(NamedTuple):
-    """Numbers and choices of a closed loop; p0 and q in the order of `STATES`."""
+    """Numbers and choices of a closed loop; p0 and q in the order of its states."""
 
     p0: np.ndarray
     q: np.ndarray
@@ -230,7 +227,11 @@ def wound_back(c, increments, dt, planet, latitude, gyro_bias=0.0):
 
 
 class History(NamedTuple):
-    """After every sample: attitude, velocity, place, estimate, covariance, fed-back biases."""
+    """After every sample: the solution, the estimate, and what follows from it.
+
+    ``bias`` has been fed back, ``corrected`` is the attitude with all that is estimated taken out,
+    ``nis`` the normalised innovation squared.
+    """
 
     c: np.ndarray
     v: np.ndarray
@@ -239,6 +240,8 @@ class History(NamedTuple):
     x: np.ndarray
     p: np.ndarray
     bias: np.ndarray
+    corrected: np.ndarray
+    nis: np.ndarray
 
 
 def mechanise(c, v, turn, dv, planet, latitude, dt, control=0.0):
@@ -303,74 +306,136 @@ def reset(p, filt, heading=(4,)):
     return out
 
 
-def turned(x, p, bias, filt):
-    """Estimate, covariance and fed-back biases where time begins to run the other way.
+class Sample(NamedTuple):
+    """What a filter's model is made of at a sample: attitude and velocity before it, mean f^n."""
 
-    Velocity errors and gyro biases change their sign, tilts and accelerometer biases do not.
+    earth: Planet
+    latitude: float
+    dt: float
+    c: np.ndarray
+    v: np.ndarray
+    f: np.ndarray
+
+
+class Model(NamedTuple):
+    """An error model: of x, the first two errors of velocity, the last ``biases`` of the sensors.
+
+    Attributes:
+        signs: of the states under time reversal.
+        heading: numbers of the states that a reset of yaw touches.
+        start: x before the first sample.
+        predict: (x, p, `Sample`) -> x, p after it, without Q.
+        feed: (share of x, c, v) -> c, v corrected; v with the vertical velocity.
+        kept: numbers of the states that are not fed back.
+        corrected: (x, c) -> attitude with all that is estimated taken out.
+        rewound: x -> x that begins the record again.
+        measured: (2, n) what of x is the level velocity of the solution; None: the first two.
+        biases: 5 with biases of two accelerometers and three gyros, else 0.
     """
-    n = len(x)
-    signs = np.array([-1.0] * 2 + [1.0] * 3 + [1.0] * 2 + [-1.0] * 3)[:n]
-    flip = np.diag(signs)
-    p = {"carried": p, "inflated": filt.turn_factor * p, "reset": np.diag(filt.p0)}[filt.turn]
-    return flip @ x, flip @ p @ flip.T, signs[5:] * bias
+
+    signs: np.ndarray
+    heading: tuple[int, ...]
+    start: np.ndarray
+    predict: Callable
+    feed: Callable
+    kept: tuple[int, ...]
+    corrected: Callable
+    rewound: Callable = np.zeros_like
+    measured: np.ndarray | None = None
+    biases: int = 0
+
+
+def linear(a, x, p, dt):
+    """X and p after dt of x' = A x."""
+    phi = np.eye(len(x)) + a * dt
+    return phi @ x, phi @ p @ phi.T
+
+
+def _predict_five(x, p, at):
+    return linear(error_matrix(at.v, at.f, at.earth, at.latitude), x, p, at.dt)
+
+
+def _predict_ten(x, p, at):
+    return linear(error_matrix_10(at.v, at.f, at.earth, at.latitude, at.c), x, p, at.dt)
+
+
+FIVE, TEN = (
+    Model(
+        np.array([-1.0] * 2 + [1.0] * 3 + ([1.0] * 2 + [-1.0] * 3)[:biases]),
+        (4,),
+        np.zeros(5 + biases),
+        predict,
+        lambda fed, c, v: (exp(fed[2:5]) @ c, v - np.array([*fed[:2], 0.0])),
+        (),
+        lambda x, c: exp(x[2:5]) @ c,
+        biases=biases,
+    )
+    for biases, predict in ((0, _predict_five), (5, _predict_ten))
+)
+"""The filters of [P1], without and with biases."""
 
 
 def closed_loop(
-    increments, dt, planet, *, latitude, c, v, filt, stored=None, count=None, watcher=None, first=1
+    model, increments, dt, planet, filt, start, *, stored=None, count=None, watcher=None, first=1
 ):
     """Mechanise, predict, update, feed back and reset, sample after sample, over a stored record.
 
-    A ``watcher`` of `naive_triggers` resets P in addition to the schedule. With turn "rewind"
-    all passes are forward, from the attitude wound back, with velocity zero and P0. ``first`` is
-    the number of the update before which attitude and velocity are given.
+    The run starts with an attitude, a velocity and a latitude, before the update number ``first``.
+    A ``watcher`` of `naive_triggers` resets P in addition to the schedule. With turn "rewind" all
+    passes are forward, from the attitude wound back, with velocity zero and P0.
     """
-    watcher = watcher or Unwatched()
-    n, clock = len(filt.p0), Clock(filt, first)
-    x, p, bias = np.zeros(n), np.diag(filt.p0), np.zeros(n - 5)
-    h = np.eye(n)[:2]
+    watcher, clock = watcher or Unwatched(), Clock(filt, first)
+    c, v, latitude = start
+    n, flip, biases = len(filt.p0), np.diag(model.signs), slice(len(filt.p0) - model.biases, None)
+    x, p, bias, v = model.start, np.diag(filt.p0), np.zeros(model.biases), np.array([*v, 0.0])
+    h = np.eye(n)[:2] if model.measured is None else model.measured
     longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
     for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
         if k < first:
             continue
         if turns and rewind:
-            bias = bias + x[5:]
-            c, latitude, longitude = exp(x[2:5]) @ c, fixed, 0.0
-            c = wound_back(c, increments[:stored], dt, planet, fixed, bias[2:] if n == 10 else 0.0)
-            v, x, p = np.zeros(2), np.zeros(n), np.diag(filt.p0)
-            watcher.turn(x, p)
+            bias = bias + x[biases]
+            c, latitude, longitude = model.corrected(x, c), fixed, 0.0
+            drift = bias[2:] if model.biases else 0.0
+            c = wound_back(c, increments[:stored], dt, planet, fixed, drift)
+            v, x, p = np.zeros(3), model.rewound(x), np.diag(filt.p0)
         elif turns:
-            v, (x, p, bias) = -v, turned(x, p, bias, filt)
+            p = {"carried": p, "inflated": filt.turn_factor * p}.get(filt.turn, np.diag(filt.p0))
+            v, x, p, bias = -v, flip @ x, flip @ p @ flip.T, model.signs[biases] * bias
+        if turns:
             watcher.turn(x, p)
         earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
-        # The gravity reading linearises about a base at rest.
-        v0, c0 = v * (filt.force != "gravity"), c
-        if n == 10:
+        if model.biases:
             turn = turn @ exp(-bias[2:] * dt)
             dv = dv - np.array([*bias[:2], 0.0]) * dt
-        c, v, f = mechanise(c, v, turn, dv, earth, at, dt)
+        w_ie, w_en = earth.rates(at, v[:2])
+        upward = np.cross(2 * w_ie + w_en, [*v[:2], 0.0])[2]
+        before = Sample(earth, at, dt, c, v[:2], None)
+        c, level, f = mechanise(c, v[:2], turn, dv, earth, at, dt)
+        v = np.array([*level, v[2] + dt * (f[2] - planet.g(at) - upward)])
         if filt.position == "integrated":
             latitude, longitude = travel(latitude, longitude, v, planet, dt)
-        if filt.force == "gravity":
-            f = np.array([0.0, 0.0, planet.g(at)])
-        a = error_matrix(v0, f, earth, at) if n == 5 else error_matrix_10(v0, f, earth, at, c0)
-        phi = np.eye(n) + a * dt
-        x, p = phi @ x, phi @ p @ phi.T
+        before = before._replace(f=f)
+        if filt.force == "gravity":  # linearised about a base at rest
+            before = before._replace(v=np.zeros(2), f=np.array([0.0, 0.0, planet.g(at)]))
+        x, p = model.predict(x, p, before)
         p = p + np.diag(filt.q)
-        seen = Innovation(k, v - x[:2], p[:2, :2] + filt.r * np.eye(2), earth, at, c0)
-        x, p = update(x, p, h, v, filt.r)
+        seen = Innovation(k, v[:2] - h @ x, h @ p @ h.T + filt.r * np.eye(2), earth, at, before.c)
+        nis = seen.r @ np.linalg.solve(seen.s, seen.r)
+        x, p = update(x, p, h, v[:2], filt.r)
         feedback, due = clock.look(k, watcher.look(seen, x, p))
         share = 1.0 if due else filt.gain if feedback else 0.0
-        watcher.feed(share * x[2:5])
+        fed = share * x
+        fed[list(model.kept)] = 0.0
+        watcher.feed(fed[2:5])
         if share:
-            v = v - share * x[:2]
-            c = exp(share * x[2:5]) @ c
-            bias = bias + share * x[5:]
-            x = (1 - share) * x
+            c, v = model.feed(fed, c, v)
+            x, bias = x - fed, bias + fed[biases]
         if due:
-            p = reset(p, filt)
+            p = reset(p, filt, model.heading)
             watcher.begin(k, p)
-        history.append((c, v, latitude, longitude, x, p, bias))
+        history.append((c, v, latitude, longitude, x, p, bias, model.corrected(x, c), nis))
     return History(*(np.array(column) for column in zip(*history, strict=True)))
 
 

@@ -1,98 +1,8 @@
-"""Filters of other error models than [P1]'s, naively: the loop of `naive.closed_loop` for any."""
-
-from collections.abc import Callable
-from typing import NamedTuple
+"""Error models of filters other than [P1]'s, naively; `naive.closed_loop` runs them."""
 
 import numpy as np
 
-from oracles.naive import (
-    Clock,
-    Filter,
-    error_matrix,
-    exp,
-    mechanise,
-    reset,
-    update,
-    updates,
-    wound_back,
-)
-
-
-class Model(NamedTuple):
-    """An error model: of x, the first two errors of velocity.
-
-    Attributes:
-        signs: of the states under time reversal.
-        heading: numbers of the states that a reset of yaw touches.
-        start: x before the first sample.
-        predict: (x, p, earth, latitude, dt) -> x, p after a sample, without Q.
-        feed: (share of x, c, v) -> c, v corrected; v with the vertical velocity.
-        kept: numbers of the states that are not fed back.
-        corrected: (x, c) -> attitude with all that is estimated taken out.
-        rewound: x -> x that begins the record again.
-        measured: (2, n) what of x is the level velocity of the solution; None: the first two.
-    """
-
-    signs: np.ndarray
-    heading: tuple[int, ...]
-    start: np.ndarray
-    predict: Callable
-    feed: Callable
-    kept: tuple[int, ...]
-    corrected: Callable
-    rewound: Callable = np.zeros_like
-    measured: np.ndarray | None = None
-
-
-class History(NamedTuple):
-    """After every sample: attitude, velocity, estimate, covariance, corrected attitude."""
-
-    c: np.ndarray
-    v: np.ndarray
-    x: np.ndarray
-    p: np.ndarray
-    corrected: np.ndarray
-
-
-def closed_loop(
-    model: Model, increments, dt, planet, *, latitude, c, v, filt: Filter, stored=None, count=None
-) -> History:
-    """Mechanise, predict, update, feed back and reset, sample after sample, over a record."""
-    n = len(filt.p0)
-    x, p, v = model.start, np.diag(filt.p0), np.array([*v, 0.0])
-    h = np.eye(n)[:2] if model.measured is None else model.measured
-    flip, history, rewind = np.diag(model.signs), [], filt.turn == "rewind"
-    clock = Clock(filt)
-    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
-        if turns and rewind:
-            c = wound_back(model.corrected(x, c), increments[:stored], dt, planet, latitude)
-            v, x, p = np.zeros(3), model.rewound(x), np.diag(filt.p0)
-        elif turns:
-            v, x, p = -v, flip @ x, flip @ p @ flip.T
-        earth = planet._replace(rate=way * planet.rate)
-        w_ie, w_en = earth.rates(latitude, v[:2])
-        upward = np.cross(2 * w_ie + w_en, [*v[:2], 0.0])[2]
-        c, level, f = mechanise(c, v[:2], turn, dv, earth, latitude, dt)
-        v = np.array([*level, v[2] + dt * (f[2] - planet.g(latitude) - upward)])
-        x, p = model.predict(x, p, earth, latitude, dt)
-        x, p = update(x, p + np.diag(filt.q), h, v[:2], filt.r)
-        feedback, due = clock.look(k)
-        share = 1.0 if due else filt.gain if feedback else 0.0
-        fed = share * x
-        fed[list(model.kept)] = 0.0
-        if share:
-            c, v = model.feed(fed, c, v)
-            x = x - fed
-        if due:
-            p = reset(p, filt, model.heading)
-        history.append((c, v, x, p, model.corrected(x, c)))
-    return History(*(np.array(column) for column in zip(*history, strict=True)))
-
-
-def linear(a, x, p, dt):
-    """X and p after dt of x' = A x."""
-    phi = np.eye(len(x)) + a * dt
-    return phi @ x, phi @ p @ phi.T
+from oracles.naive import FIVE, Model, error_matrix, exp, linear
 
 
 def upright(tilt):
@@ -139,7 +49,7 @@ SINCOS = Model(
     np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0]),
     (4, 5),
     np.array([0.0] * 5 + [1.0]),
-    lambda x, p, earth, latitude, dt: linear(sincos_matrix(earth, latitude), x, p, dt),
+    lambda x, p, at: linear(sincos_matrix(at.earth, at.latitude), x, p, at.dt),
     lambda fed, c, v: (upright(fed[2:4]) @ c, v - np.array([*fed[:2], 0.0])),
     (4, 5),
     _sincos_corrected,
@@ -152,10 +62,10 @@ def surging(time):
     one, two, none = np.eye(2), np.zeros((2, 2)), np.zeros((2, 6))
     own = np.block([[two, one], [-one / time**2, -one / time]])
 
-    def predict(x, p, earth, latitude, dt):
+    def predict(x, p, at):
         a = np.zeros((10, 10))
-        a[:6, :6], a[6:, 6:] = sincos_matrix(earth, latitude), own
-        return linear(a, x, p, dt)
+        a[:6, :6], a[6:, 6:] = sincos_matrix(at.earth, at.latitude), own
+        return linear(a, x, p, at.dt)
 
     return Model(
         np.array([*SINCOS.signs, 1.0, 1.0, -1.0, -1.0]),
@@ -192,9 +102,9 @@ def _slope(function, x):
     return np.array([function(x + step).imag / 1e-30 for step in steps]).T
 
 
-def _extended(x, p, earth, latitude, dt):
+def _extended(x, p, at):
     def after(x):
-        return x + dt * azimuth_rates(x, earth, latitude)
+        return x + at.dt * azimuth_rates(x, at.earth, at.latitude)
 
     slope = _slope(after, x)
     return after(x), slope @ p @ slope.T
@@ -215,9 +125,9 @@ def unscented_transform(after, x, p, alpha, beta=2.0):
     return mean, (spreads * (moved - mean).T) @ (moved - mean)
 
 
-def _sigma_points(x, p, earth, latitude, dt):
+def _sigma_points(x, p, at):
     def after(x):
-        return x + dt * azimuth_rates(x, earth, latitude)
+        return x + at.dt * azimuth_rates(x, at.earth, at.latitude)
 
     return unscented_transform(after, x, p, 0.5)
 
@@ -227,14 +137,10 @@ def _turned(x):
 
 
 EXTENDED, UNSCENTED = (
-    Model(
-        np.array([-1.0, -1.0, 1.0, 1.0, 1.0]),
-        (4,),
-        np.zeros(5),
-        predict,
-        lambda fed, c, v: (_turned(fed) @ c, v - np.array([*fed[:2], 0.0])),
-        (),
-        lambda x, c: _turned(x) @ c,
+    FIVE._replace(
+        predict=predict,
+        feed=lambda fed, c, v: (_turned(fed) @ c, v - np.array([*fed[:2], 0.0])),
+        corrected=lambda x, c: _turned(x) @ c,
     )
     for predict in (_extended, _sigma_points)
 )
@@ -252,17 +158,9 @@ def _by_the_group(fed, c, v):
     return turn @ c, np.array([*v[:2], 0.0])
 
 
-def _at_rest(x, p, earth, latitude, dt):
-    force = np.array([0.0, 0.0, earth.g(latitude)])
-    return linear(error_matrix((0.0, 0.0), force, earth, latitude), x, p, dt)
+def _at_rest(x, p, at):
+    force = np.array([0.0, 0.0, at.earth.g(at.latitude)])
+    return linear(error_matrix((0.0, 0.0), force, at.earth, at.latitude), x, p, at.dt)
 
 
-INVARIANT = Model(
-    np.array([-1.0, -1.0, 1.0, 1.0, 1.0]),
-    (4,),
-    np.zeros(5),
-    _at_rest,
-    _by_the_group,
-    (),
-    lambda x, c: exp(x[2:5]) @ c,
-)
+INVARIANT = FIVE._replace(predict=_at_rest, feed=_by_the_group)

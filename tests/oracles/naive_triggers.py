@@ -32,7 +32,7 @@ class Seen(NamedTuple):
     correction: np.ndarray
     phi: np.ndarray
     p: np.ndarray
-    honest: np.ndarray | None = None
+    honest: np.ndarray
 
 
 def normalised(r, s):
@@ -93,16 +93,12 @@ class Watcher(Unwatched):
         a = error_matrix(np.zeros(2), level, seen.earth, seen.latitude)
         if len(x) == 10:
             a = error_matrix_10(np.zeros(2), level, seen.earth, seen.latitude, seen.c)
-        now = Seen(seen.r, seen.s, self.fed + x[2:5], x[2:5], p[2:5, 2:5])
-        return self.judge(seen.k, now, np.eye(len(x)) + a * self.dt)
-
-    def judge(self, k, now, phi):
-        """The same, with the transition of a base at rest."""
-        h = np.eye(len(phi))[:2]
+        k, phi, h = seen.k, np.eye(len(x)) + a * self.dt, np.eye(len(x))[:2]
         predicted = phi @ self.honest @ phi.T + self.q
         gain = predicted @ h.T @ np.linalg.inv(h @ predicted @ h.T + self.r)
         self.honest = predicted - gain @ h @ predicted
-        self.seen.append(now._replace(honest=self.honest[2:5, 2:5]))
+        known = p[2:5, 2:5], self.honest[2:5, 2:5]
+        self.seen.append(Seen(seen.r, seen.s, self.fed + x[2:5], x[2:5], *known))
         window = self.numbers.window
         full = self.name == "linearisation" or len(self.seen) % window == 0
         score = SCORES[self.name](self.seen, window, self.dt) if full else 0.0

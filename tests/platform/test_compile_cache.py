@@ -1,8 +1,12 @@
+"""JAX's compilation cache: when it is on, in which private folder, and after interruptions."""
+
 import importlib.metadata
 import os
 import shutil
+import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -20,11 +24,13 @@ KEYS = (
 
 
 @pytest.fixture
-def restored_settings(monkeypatch, tmp_path):
+def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pytest.MonkeyPatch]:
     """Undo the settings of a test, and use a separate cache folder."""
     before = {key: jax.config.values[key] for key in KEYS}
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path / "sinsjax")
+    here = {importlib.metadata.version("jaxlib")}
+    monkeypatch.setattr(compile_cache, "SAFE_JAXLIB", here)
     for variable in (compile_cache.VARIABLE, compile_cache._SIZE):
         monkeypatch.delenv(variable, raising=False)
     yield monkeypatch
@@ -32,59 +38,51 @@ def restored_settings(monkeypatch, tmp_path):
         jax.config.update(key, value)
 
 
-def test_cache_is_off_when_variable_is_zero(restored_settings, tmp_path):
-    restored_settings.setenv(compile_cache.VARIABLE, "0")
+def test_cache_is_on_by_default_with_tested_jaxlib_or_on_request(
+    settings: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    settings.setenv(compile_cache.VARIABLE, "0")
     assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
-    assert jax.config.values["jax_compilation_cache_dir"] is None
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("asked", ["", " "])
-def test_cache_is_on_by_default_with_bounded_size(restored_settings, tmp_path, asked):
-    restored_settings.setenv(compile_cache.VARIABLE, asked)
-    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
+    assert jax.config.values["jax_compilation_cache_dir"] is None and not list(tmp_path.iterdir())
+    settings.setenv(compile_cache.VARIABLE, " ")
     here = compile_cache.enable_cache()
-    assert here.parent == tmp_path / "sinsjax" / "compiled"
+    assert here is not None and here.parent == tmp_path / "sinsjax" / "compiled"
     assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MAX_BYTES
-
-
-def test_cache_is_off_by_default_with_untested_jaxlib(restored_settings, tmp_path):
-    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
+    jax.config.update("jax_compilation_cache_dir", None)
+    settings.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
     assert compile_cache.enable_cache() is None
     assert compile_cache.reason_off().startswith("not tested with jaxlib")
-    restored_settings.setenv(compile_cache.VARIABLE, "1")
-    assert compile_cache.enable_cache().is_relative_to(tmp_path)
+    settings.setenv(compile_cache.VARIABLE, "1")
+    assert compile_cache.enable_cache() == here
 
 
-def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(restored_settings, tmp_path):
-    restored_settings.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable_cache()
-    assert str(here) == jax.config.values["jax_compilation_cache_dir"]
-    assert here.parent == tmp_path / "sinsjax" / "compiled"
-    assert here.stat().st_mode & 0o077 == 0
-    restored_settings.setattr(
-        machine, "cpu_info", lambda: {"model name": "another", "flags": "avx2"}
-    )
-    other_cpu = compile_cache.enable_cache()
-    restored_settings.setattr(
-        machine, "cpu_info", lambda: {"model name": "another", "flags": "avx512f"}
-    )
-    other_features = compile_cache.enable_cache()
-    restored_settings.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
-    other_jaxlib = compile_cache.enable_cache()
-    assert len({here, other_cpu, other_features, other_jaxlib}) == 4
-    assert here.parent == other_cpu.parent == other_jaxlib.parent
+def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(
+    settings: pytest.MonkeyPatch,
+) -> None:
+    settings.setenv(compile_cache.VARIABLE, "1")
+    folders = [compile_cache.enable_cache()]
+    assert folders[0] is not None and folders[0].stat().st_mode & 0o077 == 0
+    for flags in ("avx2", "avx512f"):
+        cpu = {"model name": "another", "flags": flags}
+        settings.setattr(machine, "cpu_info", lambda cpu=cpu: cpu)
+        folders.append(compile_cache.enable_cache())
+    settings.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
+    folders.append(compile_cache.enable_cache())
+    assert len({*folders}) == 4 and len({folder.parent for folder in folders if folder}) == 1
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_folder_writable_by_others_is_refused_or_not_used(restored_settings, tmp_path, asked):
-    restored_settings.setattr(compile_cache, "SAFE_JAXLIB", {importlib.metadata.version("jaxlib")})
-    compile_cache.enable_cache().chmod(0o777)
+def test_folder_writable_by_others_is_refused_or_not_used(
+    settings: pytest.MonkeyPatch, asked: bool
+) -> None:
+    folder = compile_cache.enable_cache()
+    assert folder is not None
+    folder.chmod(0o777)
     jax.config.update("jax_compilation_cache_dir", None)
     reason = "other users can write there, and cached programs are executed"
     if asked:
-        restored_settings.setenv(compile_cache.VARIABLE, "1")
+        settings.setenv(compile_cache.VARIABLE, "1")
         with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: .*: {reason}$"):
             compile_cache.enable_cache()
     else:
@@ -93,21 +91,48 @@ def test_folder_writable_by_others_is_refused_or_not_used(restored_settings, tmp
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        ("{}/file", ".*/file/jaxlib.*: Not a directory"),
-        ("~nosuchuser/x", "~nosuchuser/x: no such user"),
-    ],
-)
 def test_cache_folder_that_cannot_be_created_raises_input_error(
-    restored_settings, tmp_path, asked, told
-):
+    settings: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
-    restored_settings.setenv(compile_cache.VARIABLE, asked.format(tmp_path))
-    with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: {told}"):
+    settings.setenv(compile_cache.VARIABLE, f"{tmp_path}/file")
+    with pytest.raises(InputError, match=r"^SINSJAX_COMPILE_CACHE: .*/file/jaxlib.*: Not a dir"):
         compile_cache.enable_cache()
 
+
+def test_entries_of_interrupted_writes_alone_are_removed_at_start(
+    settings: pytest.MonkeyPatch,
+) -> None:
+    """JAX writes the file of the access time last, and stops writing where it is missing."""
+    here = compile_cache.enable_cache()
+    assert here is not None
+    complete = [here / "jit_a-0-cache", here / "jit_a-0-atime", here / "notes.txt"]
+    for path in (*complete, here / "jit_b-1-cache"):
+        path.write_bytes(b"x")
+    settings.setenv(compile_cache.VARIABLE, "1")
+    assert compile_cache.enable_cache() == here
+    assert sorted(here.iterdir()) == sorted(complete)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
+@pytest.mark.parametrize("mode", [0o700, 0o755, 0o775])
+def test_folder_is_private_or_refused(
+    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = machine.ensure_private_folder(tmp_path / "a" / "b")
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    folder.chmod(mode)
+    if mode & 0o022:
+        with pytest.raises(PermissionError, match="other users can write there"):
+            machine.ensure_private_folder(folder)
+        return
+    assert machine.ensure_private_folder(folder) == folder
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    with pytest.raises(PermissionError, match="owned by another user"):
+        machine.ensure_private_folder(folder)
+
+
+# --- processes ----------------------------------------------------------------------------------
 
 SCRIPT = """
 import jax, jax.numpy as jnp, sinsjax
@@ -139,57 +164,20 @@ def result(process: subprocess.Popen) -> tuple[str, bool, str]:
     return bits, found == "True", errors
 
 
-@pytest.fixture(scope="module")
-def first_process(tmp_path_factory):
-    """A cache that a process has filled, a copy of it, and the bits of its result."""
-    folder = tmp_path_factory.mktemp("first")
-    bits, found, errors = result(start(folder / "cache"))
-    assert not found and not errors
-    shutil.copytree(folder / "cache", folder / "copy")
-    return folder, bits
-
-
-@pytest.fixture
-def filled_cache(first_process):
-    """The unchanged cache in its first place, since JAX rejects a moved one; with the bits."""
-    folder, bits = first_process
-    shutil.rmtree(folder / "cache")
-    shutil.copytree(folder / "copy", folder / "cache")
-    (inner,) = (folder / "cache").glob("jaxlib-*")
-    return folder / "cache", inner, bits
-
-
 @pytest.mark.nightly
-def test_second_process_reuses_compiled_programs_of_first(filled_cache):
-    """The result is bit-equal."""
-    folder, _, bits = filled_cache
-    assert result(start(folder)) == (bits, True, "")
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("length", [100, 0])
-def test_truncated_cache_entry_is_recompiled_with_warning(filled_cache, length):
-    folder, inner, bits = filled_cache
-    for entry in inner.glob("*-cache"):
-        entry.write_bytes(entry.read_bytes()[:length])
-    *found, errors = result(start(folder))
-    assert found == [bits, False]
-    assert "UserWarning: Error reading persistent compilation cache entry" in errors
-
-
-def test_entries_of_interrupted_writes_alone_are_removed_at_start(restored_settings):
-    """JAX writes the file of the access time last, and stops writing where it is missing."""
-    restored_settings.setenv(compile_cache.VARIABLE, "1")
-    here = compile_cache.enable_cache()
-    complete = [here / "jit_a-0-cache", here / "jit_a-0-atime"]
-    for path in (*complete, here / "jit_b-1-cache", here / "notes.txt"):
-        path.write_bytes(b"x")
-    assert compile_cache.enable_cache() == here
-    assert sorted(here.iterdir()) == sorted([*complete, here / "notes.txt"])
-
-
-@pytest.mark.nightly
-def test_simultaneous_first_starts_give_same_result(tmp_path, first_process):
-    processes = [start(tmp_path / "new") for _ in range(3)]
-    assert [result(process)[0] for process in processes] == 3 * [first_process[1]]
-    assert result(start(tmp_path / "new")) == (first_process[1], True, "")
+def test_second_process_reuses_programs_and_compiles_those_that_are_cut_short(
+    tmp_path: Path,
+) -> None:
+    folder, copy = tmp_path / "cache", tmp_path / "copy"
+    together = [result(process) for process in [start(folder) for _ in range(2)]]
+    bits = together[0][0]
+    assert together[1][0] == bits and result(start(folder)) == (bits, True, "")
+    shutil.copytree(folder, copy)
+    for length in (100, 0):
+        shutil.rmtree(folder)
+        shutil.copytree(copy, folder)
+        for entry in folder.glob("jaxlib-*/*-cache"):
+            entry.write_bytes(entry.read_bytes()[:length])
+        *found, errors = result(start(folder))
+        assert found == [bits, False]
+        assert "UserWarning: Error reading persistent compilation cache entry" in errors

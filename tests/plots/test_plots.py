@@ -1,5 +1,6 @@
+"""The plots: tables in, figures out."""
+
 import io
-import math
 
 import matplotlib as mpl
 import numpy as np
@@ -9,124 +10,311 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy import stats
 
-from sinsjax import plots
-from sinsjax.analysis import Estimate
-from sinsjax.plots import ConsistencyLine, Ensemble, Line
+import sinsjax
+from sinsjax import analysis, plots
+from sinsjax.errors import InputError
+from sinsjax.plots.comparison import has_significant_effect
+from sinsjax.plots.consistency import SHARE_COLUMNS
 
-TIME = np.arange(1.0, 11.0)
-
-
-def make_ensemble(label, *, runs=4, size=1.0, sigma=2.0):
-    noise = np.random.default_rng(7).normal(size=(runs, TIME.size))
-    columns = {f"phi_{axis}_arcmin": size + noise for axis in "enu"}
-    columns |= {f"sigma_{axis}_arcmin": np.full((runs, TIME.size), sigma) for axis in "enu"}
-    columns |= {f"{angle}_deg": 0.1 * noise for angle in ("pitch", "roll", "yaw")}
-    return Ensemble(label, TIME, columns)
-
-
-def figure_text(figure: Figure) -> str:
-    """Return all visible text of a figure."""
-    return "\n".join(t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text().strip())
-
-
-def test_ensembles_arrange_runs_by_record():
-    runs, times = np.repeat([3, 5, 8], 2), np.tile([1.0, 2.0], 3)
-    phi = 100.0 * runs + times
-    curves = pa.table({"run_id": runs, "time_s": times, "phi_u_arcmin": phi})
-    made = plots.group_curves(curves, {"a": [8, 3], "b": [5]})
-    assert [e.label for e in made] == ["a", "b"]
-    np.testing.assert_array_equal(made[0].time_s, [1.0, 2.0])
-    np.testing.assert_array_equal(made[0].columns["phi_u_arcmin"], [[301, 302], [801, 802]])
-    np.testing.assert_array_equal(made[1].columns["phi_u_arcmin"], [[501, 502]])
+SETTLE = {  # s, by number of resets, cycle and start; None never settles
+    (0, 10.0, 0.0): 300.0,
+    (0, 50.0, 0.0): 300.0,
+    (0, 10.0, 30.0): None,
+    (0, 50.0, 30.0): None,
+    (1, 10.0, 0.0): 100.0,
+    (1, 50.0, 0.0): 200.0,
+    (1, 10.0, 30.0): 400.0,
+    (1, 50.0, 30.0): 400.0,
+    (2, 10.0, 0.0): 150.0,
+    (2, 50.0, 0.0): 180.0,
+    (2, 10.0, 30.0): 210.0,
+    (2, 50.0, 30.0): 200.0,
+}
+MAP = ("reset_count", "reset_cycle_s")
 
 
-def test_line_is_mean_and_band_covers_95_percent():
-    axes = Figure().subplots()
-    values = np.random.default_rng(1).normal(size=(200, TIME.size))
-    plots.draw_mean_and_band(axes, Line("x", TIME, values, "#000000"))
-    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), values.mean(axis=0))
-    (band,) = axes.collections
-    edges = band.get_paths()[0].vertices
-    for edge in np.quantile(values, [0.025, 0.975], axis=0).T.ravel():
-        assert np.isclose(edges[:, 1], edge).any()
-    plots.draw_mean_and_band(axes, Line("a single run", TIME, values[:1], "#000000"))
-    assert len(axes.collections) == 1
-
-
-def test_line_skips_records_with_missing_values():
-    axes = Figure().subplots()
-    values = np.ones((3, TIME.size))
-    values[1, 4] = np.nan
-    plots.draw_mean_and_band(axes, Line("x", TIME, values, "#000000"))
-    np.testing.assert_array_equal(axes.get_lines()[0].get_xdata(), np.delete(TIME, 4))
-
-
-def test_level_figure_has_panels_resets_and_names_of_lines():
-    shown = [make_ensemble("a"), make_ensemble("b", size=900.0)]
-    figure = plots.draw_level_errors(shown, "Title", [3.0, 6.0])
-    for axes, name in zip(figure.axes, ("east", "north"), strict=True):
-        assert axes.get_ylabel() == f"level error,\n{name} (arcmin)"
-        assert axes.get_yscale() == "symlog" and axes.get_xlim() == (0.0, 10.0)
-        assert sum(line.get_linestyle() == ":" for line in axes.get_lines()) == 2
-    said = figure_text(figure).splitlines()
-    assert {"Title", "a", "b", "95 % of the runs", "reset", "±1 sigma of the filter"} <= {*said}
-
-
-def test_sigma_of_level_is_dashed_on_both_sides():
-    figure = plots.draw_level_errors([make_ensemble("a", sigma=5.0)], "Title")
-    dashed = [line for line in figure.axes[1].get_lines() if line.get_linestyle() == "--"]
-    ends = [line.get_ydata()[0] for line in dashed if len(line.get_ydata())]
-    assert sorted(ends) == [-5.0, 5.0]
-
-
-def test_attitude_figure_shows_degrees_and_sigma_band():
-    figure = plots.draw_attitude([make_ensemble("a", sigma=60.0), make_ensemble("b")], "Title")
-    assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
-    path = figure.axes[2].collections[0].get_paths()[0]
-    middle = make_ensemble("a").columns["yaw_deg"].mean(axis=0)
-    assert path.vertices[:, 1].max() == pytest.approx(middle.max() + 1.0)  # 60 arcmin are 1 deg
-
-
-def test_along_axis_marks_infinite_values_as_never():
-    lines = {
-        "a": [Estimate(1.0, 0.5, 2.0, 8), Estimate(math.inf, 3.0, math.inf, 8)],
-        "b": [Estimate(2.0, math.nan, math.nan, 8), Estimate(3.0, 2.0, math.inf, 8)],
+def run_table(settle=SETTLE, draws=3, **more):
+    """A summary: every point of `SETTLE` in some draws, a second apart."""
+    points = [(*point, draw) for draw in range(draws) for point in settle]
+    count, cycle, start, draw = zip(*points, strict=True)
+    times = [settle[point[:3]] for point in points]
+    times = [None if t is None else t + d - 1 for t, d in zip(times, draw, strict=True)]
+    points = zip(count, cycle, start, draw, strict=True)
+    phi = [10.0 * n + (cycle if n else 0) + u + d for n, cycle, u, d in points]  # acts if n > 0
+    columns = {
+        "reset_times_s": [
+            [b * i for i in range(1, n + 1)] for n, b in zip(count, cycle, strict=True)
+        ],
+        "reset_count": count,
+        "reset_cycle_s": cycle,
+        "phi_u0_deg": start,
+        "draw_id": draw,
+        "settle_10_s": pa.array(times, pa.float64()),
+        "phi_u_arcmin": phi,
+        "ok_floor": [t is not None for t in times],
+        "status": ["not_settled" if t is None else "ok" for t in times],
     }
-    figure = plots.draw_along_axis(
-        "phi_u0_deg", [0.0, 30.0], {"time (s)": lines, "share": lines}, title="Title"
-    )
-    top, bottom = figure.axes
-    assert (top.get_title(loc="left"), bottom.get_xlabel()) == (
-        "time (s)",
-        "initial heading error (deg)",
-    )
-    crosses = [line for line in bottom.get_lines() if line.get_marker() == "x"]
-    # Beside the other line's marks, so that neither hides the other.
-    assert [list(line.get_xdata()) for line in crosses] == [[pytest.approx(30.0, abs=0.15)]]
-    assert "never" in figure_text(figure)
-    assert plots.render_png(figure)
+    return pa.table(columns | more)
 
 
-def test_beliefs_figure_shows_nees_distribution_and_shares():
+def map_panels(figure: Figure):
+    return [axes for axes in figure.axes if axes.get_images()]
+
+
+def shown(axes):
+    return axes.get_images()[0].get_array()
+
+
+def framed_cells(axes):
+    """The corners of the frames of a panel."""
+    return {frame.get_xy() for frame in axes.patches}
+
+
+def title_of(figure: Figure) -> str:
+    return figure.get_suptitle().replace("\n", " ")
+
+
+# --- plot_map -----------------------------------------------------------------------------------
+
+
+def test_map_frames_cell_that_title_names():
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
+    assert title_of(figure) == "Soonest: 2 resets, every 10 s (180 s on average)"
+    first, second = map_panels(figure)
+    np.testing.assert_array_equal(shown(first), [[300, 300], [100, 200], [150, 180]])
+    assert [tick.get_text() for tick in first.get_yticklabels()] == ["none", "1", "2"]
+    assert second.get_xlabel() == plots.axis_label("reset_cycle_s")
+    assert np.ma.getmaskarray(shown(second))[0].all()  # never
+    assert first.get_title(loc="left").endswith("0 deg")
+    assert second.get_title(loc="left") == "30 deg"
+    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}  # 2 resets, every 10 s
+
+
+def test_map_title_names_best_choice_where_panels_are_choices():
+    table = run_table()
+    table = table.append_column("method", table["phi_u0_deg"].cast(pa.string()))
+    figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
+    assert title_of(figure) == "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
+    assert list(map(framed_cells, map_panels(figure))) == [{(-0.5, 0.5)}, set()]
+
+
+def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
+    table = run_table()
+    (panel,) = map_panels(sinsjax.plot_map(table, *MAP, "ok_floor"))
+    np.testing.assert_allclose(shown(panel), [[50, 50], [100, 100], [100, 100]])
+    figure = sinsjax.plot_map(table, *MAP, "phi_u_arcmin")
+    phi = table["phi_u_arcmin"].to_numpy()[table["reset_count"].to_numpy() == 0]
+    np.testing.assert_allclose(shown(figure.axes[0])[0], np.sqrt(np.mean(phi**2)))
+    assert "(arcmin)" in figure.axes[-1].get_ylabel()
+
+
+def test_map_does_not_depend_on_order_of_rows_or_kind_of_table():
+    table = run_table()
+    figure = sinsjax.plot_map(table, *MAP, "settle_10_s")
+    same = sinsjax.plot_map(table.to_pandas(), *MAP, "settle_10_s")
+    assert plots.render_png(figure) == plots.render_png(same)
+    order = np.random.default_rng(0).permutation(table.num_rows)
+    order = order[np.lexsort((table["reset_cycle_s"].to_numpy()[order],))]
+    mixed = table.take(order)
+    counts = list(dict.fromkeys(mixed["reset_count"].to_pylist()))
+    other = sinsjax.plot_map(mixed, *MAP, "settle_10_s")
+    np.testing.assert_array_equal(shown(other.axes[0]), shown(figure.axes[0])[counts])
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        (run_table().slice(0, 5), "no full grid of these keys"),
+        (run_table().slice(0, 0), "there are no runs"),
+        (run_table().drop_columns(["settle_10_s"]), "column settle_10_s is missing"),
+        ([1, 2], "list: is not a table"),
+    ],
+)
+def test_map_of_unusable_runs_is_refused(table, line):
+    with pytest.raises(InputError, match=line):
+        sinsjax.plot_map(table, *MAP, "settle_10_s")
+
+
+# --- plot_compare -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ends", "expected"),
+    [
+        ([(10.0, 9.0, 11.0), (14.5, 13.5, 15.5)], True),
+        ([(10.0, 9.0, 11.0), (13.5, 12.5, 14.5)], False),  # bars of twice the length overlap
+        ([(10.0, 9.0, 11.0), (np.inf, 12.0, np.inf)], True),
+        ([(np.nan, np.nan, np.nan), (10.0, 9.0, 11.0)], False),
+    ],
+)
+def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
+    line = [analysis.Estimate(*numbers, 9) for numbers in ends]
+    assert has_significant_effect({"x": {"a": line}}) == expected
+
+
+def test_compare_states_best_value_of_choice_and_range_over_conditions():
+    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
+    choice = title_of(
+        sinsjax.plot_compare(table, "reset_count", by=["reset_cycle_s", "phi_u0_deg"])
+    )
+    assert "1, time between resets 10 s" in choice and "(100 s)" in choice
+    over = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP, condition=True)
+    assert title_of(over).endswith(": 100 to 400 s")
+
+
+@pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])
+def test_every_kind_of_axis_is_drawn(key):
+    figure = sinsjax.plot_compare(run_table(), key, statistics={"settle_10_s_median": "time (s)"})
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == plots.axis_label(key) and plots.render_png(figure)
+
+
+def test_infinite_values_are_marked_as_never_clear_of_the_other_line():
+    table = run_table()
+    figure = sinsjax.plot_compare(
+        table, "phi_u0_deg", by="reset_count", statistics={"settle_10_s_median": "time (s)"}
+    )
+    crosses = [line for line in figure.axes[0].get_lines() if line.get_marker() == "x"]
+    places = [list(line.get_xdata()) for line in crosses if len(line.get_xdata())]
+    assert places == [[pytest.approx(30.0, abs=0.5)]] and places[0][0] != 30.0
+    assert "never (median)" in {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+# --- plot_belief --------------------------------------------------------------------------------
+
+
+def test_belief_shows_nees_against_chi_square_and_shares_of_records():
+    shares = dict(zip(SHARE_COLUMNS.values(), ([0.7] * 8, [0.4] * 8), strict=True))
     nees = np.array([0.5, 2.0, np.nan, 8.0])
-    shares = {"a": Estimate(0.7, 0.6, 0.8, 4), "b": Estimate(0.4, math.nan, math.nan, 4)}
-    shown = [ConsistencyLine("x", nees, shares), ConsistencyLine("y", 4 * nees, shares)]
-    left, right = plots.draw_consistency(shown, "Title").axes
+    columns = {"nees": [*nees, *(4 * nees)], "method": ["x"] * 4 + ["y"] * 4}
+    left, right = sinsjax.plot_belief(pa.table(columns | shares), by="method").axes
     first, second, chi2, *marks = left.get_lines()
-    assert [line.get_label() for line in (first, second)] == ["x", "y"]
+    assert [line.get_label() for line in (first, second)] == ["method x", "method y"]
     np.testing.assert_array_equal(first.get_ydata(), [0.0, 0.25, 0.5, 0.75])
     expected = stats.chi2.cdf(chi2.get_xdata(), 3)
     np.testing.assert_allclose(chi2.get_ydata(), expected, atol=1e-12)
-    assert left.get_xscale() == "log" and "NEES" in left.get_xlabel()
     dashed = [line for line in right.get_lines() if line.get_linestyle() == "--"]
     assert dashed[0].get_xdata()[0] == pytest.approx(stats.chi2.cdf(1.0, 1))
-    points = [container.lines[0].get_xdata()[0] for container in right.containers]
-    assert points == [0.7, 0.4, 0.7, 0.4]
-    assert [mark.get_label() for mark in marks] == ["share a", "share b"]
+    points = [bar.lines[0].get_xdata()[0] for bar in right.containers]
+    assert points == pytest.approx([0.7, 0.4, 0.7, 0.4])
+    assert [mark.get_label() for mark in marks] == ["share from truth", "share from the bias floor"]
+
+
+def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
+    columns = {name: [0.5] * 4 for name in SHARE_COLUMNS.values()}
+    table = pa.table(columns | {"method": ["a", "a", "b", "b"], "nees": [1.0, 2.0, None, None]})
+    figure = sinsjax.plot_belief(table, by="method")
+    assert [text.get_text() for text in figure.axes[1].texts] == ["method a"]
+    with pytest.raises(InputError, match="no run has a finite nees"):
+        sinsjax.plot_belief(table.slice(2), by="method")
+
+
+def test_belief_from_bias_floor_shows_heading_against_one_degree_of_freedom():
+    columns = {"nees": [900.0] * 4, "nis_u": [0.2, 0.4, 1.4, 2.0]}
+    shares = dict(zip(SHARE_COLUMNS.values(), ([0.0] * 4, [0.7] * 4), strict=True))
+    figure = sinsjax.plot_belief(pa.table(columns | shares), from_floor=True)
+    left, right = figure.axes
+    title = "Mean NEES of the heading, from the bias floor: 1, where a consistent filter has 1"
+    assert title_of(figure) == title
+    line, expected = left.get_lines()[:2]
+    assert max(line.get_xdata()) == 2.0
+    x, share = expected.get_xdata(), expected.get_ydata()
+    np.testing.assert_allclose(share, stats.chi2(1).cdf(x), atol=1e-12)
+    assert [bar.lines[0].get_xdata()[0] for bar in right.containers] == [pytest.approx(0.7)]
+    assert title_of(sinsjax.plot_belief(pa.table(columns | shares))).startswith("Mean NEES 900")
+
+
+# --- plot_curves --------------------------------------------------------------------------------
+
+
+def curve_table(ids, *, truth=True, without_heading=()):
+    """Curves of some runs; sigmas and errors are 100 times the number of the run plus time."""
+    time = np.tile([1.0, 2.0, 3.0], len(ids))
+    run = np.repeat(ids, 3)
+    unknown = np.isin(run, without_heading)
+    columns = {"run_id": run, "time_s": time}
+    for axis in "enu":
+        values = np.where(unknown & (axis == "u"), np.nan, 100.0 * run + time)
+        columns[f"phi_{axis}_arcmin"] = values if truth else np.full(time.size, np.nan)
+        columns[f"sigma_{axis}_arcmin"] = values
+    columns |= {f"{angle}_deg": time for angle in ("pitch", "roll")}
+    return pa.table(columns | {"yaw_deg": np.where(unknown, np.nan, time)})
+
+
+def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
+    summary = pa.table(
+        {
+            "run_id": [0, 1, 2, 3],
+            "case": ["x", "y", "x", "y"],
+            "reset_times_s": [[1.0], [], [1.0], []],
+            "floor_arcmin": [-20.0, None, 40.0, None],
+        }
+    )
+    figure = sinsjax.plot_curves(curve_table([0, 1, 2, 3]), summary, by="case")
+    first, second = figure.axes
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["x", "y"]
+    error, sigma, reset, floor = first.get_lines()
+    runs_0_and_2 = np.array([[1.0, 2.0, 3.0], [201.0, 202.0, 203.0]])
+    rms = np.sqrt((runs_0_and_2**2).mean(axis=0))
+    np.testing.assert_allclose(error.get_ydata(), rms)
+    np.testing.assert_allclose(sigma.get_ydata(), rms)
+    assert (error.get_linestyle(), sigma.get_linestyle()) == ("-", "--")
+    assert reset.get_xdata()[0] == 1.0
+    assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
+    assert len(second.get_lines()) == 2  # neither resets nor a floor
+    assert title_of(figure).startswith("Heading error after 3 s: ")
+
+
+def test_sigma_of_level_is_dashed_on_both_sides_of_zero():
+    figure = sinsjax.plot_curves(curve_table([1]), level=True)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        f"level error,\n{name} (arcmin)" for name in ("east", "north")
+    ]
+    dashed = [line for line in figure.axes[1].get_lines() if line.get_linestyle() == "--"]
+    assert sorted(line.get_ydata()[0] for line in dashed if len(line.get_ydata())) == [-101, 101]
+
+
+def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
+    figure = sinsjax.plot_curves(curve_table([1], truth=False))
+    assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
+    ends = [line.get_ydata()[-1] for line in figure.axes[2].get_lines() if len(line.get_ydata())]
+    assert ends == pytest.approx([3.0, 3.0 + 103 / 60, 3.0 - 103 / 60])
+
+
+def test_lines_without_heading_have_no_panel():
+    figure = sinsjax.plot_curves(curve_table([0, 1], without_heading=[1]))
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 0"]
+    assert title_of(figure) == "Heading error after 3 s: 3 arcmin"
+
+
+@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Pitch and roll")])
+def test_figure_without_any_heading_has_two_panels(truth, title):
+    figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
+    assert len(figure.axes) == 2 and title_of(figure).startswith(title)
+
+
+def test_curves_of_other_runs_are_refused():
+    with pytest.raises(InputError, match="no curves of these runs"):
+        sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
+
+
+def test_line_is_mean_and_band_of_95_percent_where_all_runs_have_values():
+    axes, time = Figure().subplots(), np.arange(1.0, 11.0)
+    values = np.random.default_rng(1).normal(size=(200, 10))
+    values[1, 4] = np.nan
+    plots.draw_mean_and_band(axes, "x", time, values, "#000000")
+    known = np.delete(values, 4, axis=1)
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), known.mean(axis=0))
+    edges = axes.collections[0].get_paths()[0].vertices[:, 1]
+    for edge in np.quantile(known, [0.025, 0.975], axis=0).ravel():
+        assert np.isclose(edges, edge).any()
+
+
+# --- style --------------------------------------------------------------------------------------
 
 
 def test_footer_is_added_as_strip_below_figure():
-    figure = plots.draw_level_errors([make_ensemble("a")], "Title")
+    figure = sinsjax.plot_curves(curve_table([0]))
     plain, signed = (
         imread(io.BytesIO(plots.render_png(figure, text))) for text in ("", "swing: 3 draws")
     )
@@ -136,7 +324,7 @@ def test_footer_is_added_as_strip_below_figure():
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):
     def draw():
-        return plots.render_png(plots.draw_level_errors([make_ensemble("a")], "Title"))
+        return plots.render_png(sinsjax.plot_curves(curve_table([0])))
 
     first = draw()
     monkeypatch.setitem(mpl.rcParams, "font.size", 30.0)

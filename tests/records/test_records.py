@@ -1,8 +1,5 @@
-"""Records: round trips of the three formats, and errors with file and row."""
+"""Records: round trips of the three formats, stamps and gaps, and errors with file and row."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +15,18 @@ from sinsjax import records
 from sinsjax.errors import InputError
 from sinsjax.records import Record, RecordLayout, reader
 
-DATA = Path(os.environ.get("SINSJAX_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-REAL = DATA / "lasergyro_0_900.imu"
-needs_data = pytest.mark.skipif(
-    not REAL.exists(), reason=f"{REAL.name} is absent (SINSJAX_DATA, ../shared/data)"
-)
-
 GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
 CSV = RecordLayout(
     "csv", time_column="time_s", gyro_columns=GYRO, accel_columns=ACCEL, rate_hz=100.0
 )
+ANY_RATE = CSV._replace(rate_hz=None)
 NO_TIME = CSV._replace(time_column="")
 ARCSEC = np.pi / 180 / 3600
 AXES = ["xyz", "y-xz", "-yxz", "-x-yz", "zxy", "yzx", "-zy+x", "x-zy"]
 HEADER = "% comment\n1 2 -90.6 0 0 0\n34.2 108.9 380 5 10 9.780327\n0.1 0.2 0.3 125 100 50\n"
 SAMPLE = "-3 0 4 0 2 83\n"
+HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
+ROWS = HEAD + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 
 quick = settings(deadline=None, max_examples=40)
 finite = st.floats(-1e6, 1e6, allow_subnormal=True)
@@ -71,7 +65,22 @@ def read_whole(path: Path, layout: RecordLayout) -> Record:
     return record
 
 
+def write_record(record: Record, path: Path, layout: RecordLayout) -> None:
+    if layout.format == "psins":
+        records.write_psins(record, path)
+    else:
+        write = {"csv": records.write_csv, "parquet": records.write_parquet}[layout.format]
+        write(record, path, layout)
+
+
 # --- there and back
+
+
+UNITS = [
+    (gyro, accel)
+    for gyros, accels in zip(records.GYRO_UNITS.values(), records.ACCEL_UNITS.values(), strict=True)
+    for gyro, accel in zip(gyros, [*accels][-3:], strict=True)
+]
 
 
 @quick
@@ -79,37 +88,20 @@ def read_whole(path: Path, layout: RecordLayout) -> Record:
     record=some_records(),
     kind=st.sampled_from(["csv", "parquet"]),
     order=st.sampled_from(AXES),
+    units=st.just(("rad", "m_per_s")) | st.sampled_from(UNITS),
     timed=st.booleans(),
 )
-def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, timed):
+def test_increments_survive_round_trip_bit_for_bit(folder, record, kind, order, units, timed):
     layout = CSV._replace(format=kind, axes_order=order, rate_hz=record.rate_hz)
-    if not timed:
-        layout = layout._replace(time_column="")
-    path = folder / f"record.{kind}"
-    write = {"csv": records.write_csv, "parquet": records.write_parquet}[kind]
-    write(record, path, layout)
-    back = records.read_record(path, layout)
-    assert same_bits(back.dtheta, record.dtheta) and same_bits(back.dv, record.dv)
-    assert back.rate_hz == record.rate_hz
-    assert back.t0_s == pytest.approx(0.0, abs=1e-12)
-    assert back.latitude_deg is back.attitude_deg is back.gravity_m_per_s2 is None
-
-
-@quick
-@given(
-    record=some_records(),
-    gyro_unit=st.sampled_from([u for units in records.GYRO_UNITS.values() for u in units]),
-    accel_unit=st.sampled_from([u for units in records.ACCEL_UNITS.values() for u in units]),
-    scale=st.tuples(*[st.sampled_from([1.0, -1.0, 0.25])] * 3),
-)
-def test_every_unit_and_scale_survives_csv_round_trip(folder, record, gyro_unit, accel_unit, scale):
-    layout = NO_TIME._replace(
-        gyro_unit=gyro_unit, accel_unit=accel_unit, rate_hz=record.rate_hz, gyro_scale=scale
-    )
-    records.write_csv(record, folder / "units.csv", layout)
-    back = records.read_csv(folder / "units.csv", layout)
+    layout = layout._replace(gyro_unit=units[0], accel_unit=units[1], gyro_scale=(1.0, -1.0, 0.25))
+    layout = layout if timed else layout._replace(time_column="")
+    write_record(record, folder / "record", layout)
+    back = records.read_record(folder / "record", layout)
     np.testing.assert_allclose(back.dtheta, record.dtheta, rtol=1e-9, atol=1e-300)
     np.testing.assert_allclose(back.dv, record.dv, rtol=1e-9, atol=1e-300)
+    if units == ("rad", "m_per_s"):
+        assert same_bits(back.dtheta, record.dtheta) and same_bits(back.dv, record.dv)
+    assert back.rate_hz == record.rate_hz and back.t0_s == pytest.approx(0.0, abs=1e-12)
 
 
 @quick
@@ -130,17 +122,6 @@ def test_psins_cumulative_error_stays_within_half_count(folder, dtheta, dv, scal
     assert back._replace(**others) == record._replace(**others)
 
 
-def test_psins_round_trip_keeps_unknown_fields_none(tmp_path):
-    record = Record(np.zeros((3, 3)), np.full((3, 3), 0.098), 100.0)
-    records.write_psins(record, tmp_path / "a.imu")
-    back = records.read_psins(tmp_path / "a.imu")
-    assert (back.latitude_deg, back.height_m, back.attitude_deg) == (None, None, None)
-    assert back.gravity_m_per_s2 == 9.80665
-
-
-# --- what the numbers mean
-
-
 def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     path = tmp_path / "a.imu"
     path.write_text(HEADER + "\n" + SAMPLE + "% late comment\r\n" + "+1 -1  1\t10 20 30 \n")
@@ -151,120 +132,43 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
     assert record[2:8] == (100.0, 5.0, 34.2, 380.0, (1.0, 2.0, -90.6), 9.780327)
     turned = records.read_psins(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
-    right, front, up = turned.dv.T
-    assert same_bits(right, record.dv[:, 1].copy()) and same_bits(up, record.dv[:, 2].copy())
-    assert same_bits(front, -record.dv[:, 0])
-
-
-@pytest.mark.parametrize(
-    ("gyro_unit", "accel_unit", "dtheta", "dv"),
-    [
-        ("arcsec", "ug_s", ARCSEC, 9.80665e-6),
-        ("deg", "g_s", np.pi / 180, 9.80665),
-        ("deg_per_h", "mg", ARCSEC / 100, 9.80665e-5),
-        ("rad_per_s", "m_per_s2", 0.01, 0.01),
-        ("rad_per_s", "m_per_s", 0.01, 1.0),
-        ("deg", "g", np.pi / 180, 0.0980665),
-    ],
-)
-def test_units_are_converted_to_si_increments(tmp_path, gyro_unit, accel_unit, dtheta, dv):
-    layout = NO_TIME._replace(gyro_unit=gyro_unit, accel_unit=accel_unit)
-    (tmp_path / "a.csv").write_text("az,extra, ay,ax,gz,gy,gx\n3,text,2,+1,3,2,1\n")
-    record = records.read_csv(tmp_path / "a.csv", layout)
-    np.testing.assert_allclose(record.dtheta, dtheta * np.array([[1, 2, 3]]), 1e-12)
-    np.testing.assert_allclose(record.dv, dv * np.array([[1, 2, 3]]), 1e-12)
-
-
-def table_csv(folder: Path, time_s) -> Path:
-    rows = [f"{float(t)!r},{k},2,3,4,5,6" for k, t in enumerate(time_s)]
-    path = folder / "timed.csv"
-    path.write_text("\n".join(["time_s,gx,gy,gz,ax,ay,az", *rows]))
-    return path
+    np.testing.assert_array_equal(turned.dv, record.dv[:, [1, 0, 2]] * [1, -1, 1])
 
 
 # --- mistakes
 
 
-@pytest.fixture(params=[None, 6], ids=["in one batch", "in many batches"])
-def small_batches(request, monkeypatch) -> None:
-    """Set the batch size of text files, lines."""
-    if request.param:
-        monkeypatch.setattr(reader, "_BATCH_ROWS", request.param)
-
-
-@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("", "empty"),
         (HEADER, "no samples"),
         (SAMPLE * 9, "row 2: 83"),
         (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
-        (HEADER + SAMPLE + "1 2 3 4 5 6.5\n", "row 6: accelerometer z: 6.5"),
         (HEADER + "1 l 3 4 5 6\n", "row 5: column 'gyro y': 'l'"),
-        (HEADER + "1 2 3 4 5 99999999999999999999\n", "row 5: accelerometer z: 1e+20"),
-        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 5"),
+        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 numbers"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
         (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: gyro y -0.2"),
-        ("a,b\n1,2\n", "row 1: 6 1 PSINS"),
-        ("PK\x03\x04\n\0\0", "UTF-8"),
-    ],
-)
-def test_invalid_psins_file_is_refused(tmp_path, text, told):
-    path = tmp_path / "bad.imu"
-    path.write_bytes(text.encode())
-    assert_refusal(refusal_line(records.read_psins, path), f"{path}: {told}")
-
-
-HEAD = "time_s,gx,gy,gz,ax,ay,az\n"
-ROWS = "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
-
-
-@pytest.mark.usefixtures("small_batches")
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("", "empty"),
+        ("a b\n1 2\n", "row 1: 6 PSINS"),
         (HEAD, "no samples"),
-        (HEAD.replace("gz", "gz_") + ROWS, "column 'gz' 'gz_'"),
-        (HEAD.replace("gz", "gx") + ROWS, "column 'gx' once"),
-        (HEAD + ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
-        (HEAD + ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
-        (HEAD + ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
-        (HEAD + ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': '1e300'"),
-        (HEAD + ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
-        (HEAD + ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: 7 columns 0"),
-        (HEAD + ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
-        (HEAD + ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
-        (HEAD + ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
+        (ROWS.replace("gz", "gz_"), "column 'gz' gz_"),
+        (ROWS.replace("gz", "gx"), "column 'gx' once"),
+        (ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
+        (ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
+        (ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
+        (ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': range"),
+        (ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
+        (ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: 7 columns"),
+        (ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
+        (ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
+        (ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
+        (ROWS.replace("0.0", "0."), "column 'time_s' 10 rate_hz 100"),
     ],
 )
-def test_invalid_csv_file_is_refused(tmp_path, text, told):
-    path = tmp_path / "bad.csv"
+def test_invalid_text_is_refused(tmp_path, text, told):
+    path = tmp_path / "bad"
     path.write_text(text, newline="")
-    assert_refusal(refusal_line(read_whole, path, CSV), f"{path}: {told}")
-
-
-@quick
-@given(steps=st.lists(st.floats(0.001, 0.02), min_size=1, max_size=5))
-def test_samples_are_numbered_by_their_stamps_or_refused(folder, steps):
-    step_s = np.array([0.01] * 300 + steps + [0.01] * 20)
-    path = table_csv(folder, np.cumsum([1.0, *step_s]))
-    try:
-        record = records.read_csv(path, CSV._replace(rate_hz=None))
-    except InputError as error:
-        assert "short step" in str(error) and min(steps) < 0.0095
-    else:
-        assert abs(len(record.dv) - 1 - 100 * step_s.sum()) <= (1 + len(steps)) / 2
-
-
-def test_rate_mismatch_is_refused(tmp_path):
-    path = table_csv(tmp_path, np.arange(1, 100) / 50)
-    assert_refusal(refusal_line(records.read_csv, path, CSV), f"{path}: 50 rate_hz 100")
-    path = tmp_path / "a.imu"
-    path.write_text(HEADER + SAMPLE)
-    line = refusal_line(records.read_psins, path, RecordLayout("psins", rate_hz=50.0))
-    assert_refusal(line, f"{path}: row 3: 100 rate_hz 50")
+    layout = CSV if text.startswith(HEAD[:5]) else records.PSINS_LAYOUT
+    assert_refusal(refusal_line(read_whole, path, layout), f"{path}: {told}")
 
 
 def test_invalid_parquet_file_is_refused(tmp_path):
@@ -272,9 +176,9 @@ def test_invalid_parquet_file_is_refused(tmp_path):
     columns = {name: pa.array([1.0, 2.0, 3.0]) for name in GYRO + ACCEL}
     for change, told in (
         ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty"),
-        ({"ay": pa.array([1.0, 2.0, np.inf])}, "row 3: column 'ay': finite"),
         ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': range"),
-        ({"ay": pa.array(["a", "b", "c"])}, "column 'ay' string"),
+        ({"ay": pa.array(["1", "b", "c"])}, "row 2: column 'ay': 'b'"),
+        ({"ay": pa.array([True, False, True])}, "column 'ay' bool"),
     ):
         pq.write_table(pa.table(columns | change), path)
         assert_refusal(refusal_line(read_whole, path, layout), f"{path}: {told}")
@@ -283,21 +187,17 @@ def test_invalid_parquet_file_is_refused(tmp_path):
         path.write_bytes(cut)
         assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
     pq.write_table(pa.table(columns).slice(0, 0), path)
-    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: no rows")
-    pq.write_table(pa.table(columns).drop_columns("gx"), path)
-    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: column 'gx' 'gy'")
+    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: no samples")
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"format": "cvs"}, "format: 'cvs' psins csv parquet"),
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
         ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: 0"),
-        ({"time_fraction_column": "time_s"}, "time_fraction_column: time_column"),
         ({"columns": ("time_s", *GYRO, "ax", "ay")}, "accel_columns: 'az' columns"),
-        ({"mounting_deg": (0.0, 1.0)}, "mounting_deg: pitch roll yaw"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: 'gx'"),
+        ({"gyro_columns": ("gx", "gyro_neg_y", "gz")}, "gyro_columns: minus 'gyro_neg_y'"),
         ({"time_column": "", "rate_hz": None}, "rate_hz: required time_column"),
         ({"axes_order": "yxz"}, "axes_order: 'yxz' left-handed"),
     ],
@@ -312,43 +212,55 @@ def test_unreadable_and_unwritable_paths_are_refused(tmp_path, layout):
     record = Record(np.zeros((3, 3)), np.zeros((3, 3)), 100.0)
     for path in (tmp_path, tmp_path / "absent"):
         assert refusal_line(records.read_record, path, layout).startswith(f"{path}: cannot be read")
-
-    def write(path: Path, record: Record = record) -> None:
-        if layout.format == "psins":
-            records.write_psins(record, path)
-        else:
-            {"csv": records.write_csv, "parquet": records.write_parquet}[layout.format](
-                record, path, layout
-            )
-
     (tmp_path / "file").touch()
     for path in (tmp_path, tmp_path / "absent" / "a", tmp_path / "file" / "a", Path(".")):
-        assert refusal_line(write, path).startswith(f"{path}: cannot be written: ")
+        line = refusal_line(write_record, record, path, layout)
+        assert line.startswith(f"{path}: cannot be written: ")
     broken = record._replace(dv=np.full((3, 3), np.nan))
-    assert_refusal(refusal_line(write, tmp_path / "file", broken), f"{tmp_path / 'file'}: finite")
+    line = refusal_line(write_record, broken, tmp_path / "file", layout)
+    assert_refusal(line, f"{tmp_path / 'file'}: finite")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_require_span_refuses_span_outside_record():
     record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
     records.require_span(record, 0.1 + 0.2, 8.7)
-    line = refusal_line(records.require_span, record, 0.3, 8.71)
-    assert_refusal(line, "drive.csv: 9 8.71 start_s 0.3 9.01")
-    line = refusal_line(records.require_span, record, 0.0, 9.5, " (1 s + 8.5 s)")
-    assert_refusal(line, "drive.csv: 9 9.5 1 8.5")
-    assert_refusal(refusal_line(records.require_span, record, -1.0, 1.0), "drive.csv: before")
+    for start_s, needed_s, told in (
+        (0.3, 8.71, "9 8.71 9.01"),
+        (0.0, 9.5, "9 9.5"),
+        (-1.0, 1.0, "-1"),
+    ):
+        line = refusal_line(records.require_span, record, start_s, needed_s)
+        assert_refusal(line, f"drive.csv: start_s {told}")
 
 
 # --- stamps and gaps
 
 
-@pytest.mark.parametrize("late", [[0.004], [0.007, 0.004], [0.012, 0.006]])
-def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late):
+def timed_csv(folder: Path, time_s: np.ndarray) -> Path:
+    path = folder / "timed.csv"
+    rows = [f"{float(t)!r},{k},2,3,4,5,6" for k, t in enumerate(time_s)]
+    path.write_text(HEAD + "\n".join(rows))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("late", "rows"),
+    [([0.004], 0), ([0.007, 0.004], 1), ([0.012, 0.006], 2), ([0.0, 0.007] * 100, 100)],
+)
+def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late, rows):
     time_s = np.arange(1, 401) / 100
     time_s[200 : 200 + len(late)] += late
-    record = read_whole(table_csv(tmp_path, time_s), CSV)
-    assert len(record.dtheta) == 400 and not record.flaws
-    assert record.rate_hz == 100.0 and len(record.remarks) == (max(late) > 0.005)
+    record = read_whole(timed_csv(tmp_path, time_s), CSV)
+    assert len(record.dtheta) == 400 and not record.flaws and record.rate_hz == 100.0
+    assert [text.split(" by ")[0] for text in record.remarks] == [f"{rows} stamps are late"] * bool(
+        rows
+    )
+
+
+def jittering_stamps() -> np.ndarray:
+    """Stamps at 200 Hz that are up to 2 ms late."""
+    return np.arange(1, 6001) / 200 + np.random.default_rng(7).uniform(0, 0.002, 6000)
 
 
 @pytest.mark.parametrize(
@@ -361,52 +273,34 @@ def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late):
     ],
 )
 def test_clock_faults_among_jittering_stamps_are_refused(tmp_path, change, says):
-    path = table_csv(tmp_path, change(jittering_stamps()))
-    assert says in refusal_line(records.read_csv, path, CSV._replace(rate_hz=None))
-
-
-def jittering_stamps() -> np.ndarray:
-    """Stamps at 200 Hz that are up to 2 ms late."""
-    return np.arange(1, 6001) / 200 + np.random.default_rng(7).uniform(0, 0.002, 6000)
+    path = timed_csv(tmp_path, change(jittering_stamps()))
+    assert says in refusal_line(records.read_csv, path, ANY_RATE)
 
 
 @pytest.mark.parametrize(
     "missing", [[], [3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]]
 )
 def test_missing_samples_among_jittering_stamps_are_found(tmp_path, missing):
-    path = table_csv(tmp_path, np.delete(jittering_stamps(), missing))
-    record = records.read_csv(path, CSV._replace(rate_hz=None))
+    path = timed_csv(tmp_path, np.delete(jittering_stamps(), missing))
+    record = records.read_csv(path, ANY_RATE)
     assert len(record.dtheta) == 6000 and record.rate_hz == pytest.approx(200, rel=1e-4)
     assert np.flatnonzero(np.isnan(record.dtheta[:, 0])).tolist() == missing
     if missing:
         assert f"row {missing[0] + 2}: a gap at 200" in record.flaws[0].text
 
 
-def test_stamps_of_which_every_second_one_is_late_are_read_and_reported(tmp_path):
-    time_s = np.arange(1, 401) / 50
-    time_s[1::2] += 0.012
-    record = read_whole(table_csv(tmp_path, time_s), CSV._replace(rate_hz=None))
-    assert (record.rate_hz, len(record.dv)) == (pytest.approx(50), 400)
-    assert record.remarks == ("200 stamps are late by up to 12 ms: read as if on time",)
-
-
 def table_with_gaps(folder: Path, missing: list[int], kind: str) -> tuple[Path, np.ndarray]:
-    """A table whose values are times, without some samples: as a gap, or as empty cells."""
+    """A table whose values are times, without some samples: as a gap, or as other cells."""
     time_s = np.arange(1, 401) / 100
-    rows = [HEAD.strip()]
-    for k, t in enumerate(time_s):
-        cells = [f"{t:.2f}"] * 7
-        if k in missing and kind == "gap":
-            continue
-        if k in missing:
-            cells[3] = "" if kind == "empty" else kind
-        rows.append(",".join(cells))
+    cells = [[f"{t:.2f}"] * 7 for t in time_s]
+    for k in missing:
+        cells[k][3] = "" if kind == "empty" else kind
+    kept = [k for k in range(400) if kind != "gap" or k not in missing]
     path = folder / "lacking.csv"
-    path.write_text("\n".join(rows))
+    path.write_text(HEAD + "\n".join(",".join(cells[k]) for k in kept))
     return path, time_s
 
 
-@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize("kind", ["gap", "empty", "nan", "-inf"])
 def test_spans_over_missing_samples_are_refused(tmp_path, kind):
     path, time_s = table_with_gaps(tmp_path, [200, 201, 202], kind)
@@ -421,7 +315,6 @@ def test_spans_over_missing_samples_are_refused(tmp_path, kind):
         assert "row 202: " in line and ("a gap" in line) == (kind == "gap")
 
 
-@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize("kind", ["gap", "empty"])
 def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
     path, time_s = table_with_gaps(tmp_path, [100, 200, 201, 202], kind)
@@ -430,28 +323,19 @@ def test_short_gaps_are_interpolated_and_counted(tmp_path, kind):
     np.testing.assert_allclose(record.dtheta, time_s[:, None] * np.ones(3), rtol=1e-12)
     record = records.read_csv(path, CSV._replace(max_gap_s=0.03))
     assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
-
-
-def test_missing_first_and_last_samples_are_not_interpolated(tmp_path):
-    path, _ = table_with_gaps(tmp_path, [0, 399], "empty")
+    path, _ = table_with_gaps(tmp_path, [0, 399], "empty")  # the first and the last sample
     record = records.read_csv(path, CSV._replace(max_gap_s=1.0))
     assert [flaw[:2] for flaw in record.flaws] == [(0, 1), (399, 400)] and not record.filled
-    assert not any("interpolate" in flaw.text for flaw in record.flaws)
 
 
-def test_parquet_dates_give_rate_and_start(tmp_path):
+def test_dates_give_rate_and_start(tmp_path):
     stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
     columns = {name: np.ones(300) for name in GYRO + ACCEL}
-    layout = CSV._replace(format="parquet", time_unit="iso", rate_hz=None)
-    for dates in (pa.array(stamps), pa.array([f"{stamp}" for stamp in stamps])):
-        pq.write_table(pa.table({"time_s": dates} | columns), tmp_path / "a.parquet")
+    layout = ANY_RATE._replace(format="parquet", time_unit="iso")
+    for dates in (stamps, [f"{stamp}" for stamp in stamps], [f"{stamp}Z" for stamp in stamps]):
+        pq.write_table(pa.table({"time_s": pa.array(dates)} | columns), tmp_path / "a.parquet")
         record = read_whole(tmp_path / "a.parquet", layout)
         assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
-    line = refusal_line(records.read_record, tmp_path / "a.parquet", layout._replace(time_unit="s"))
-    assert_refusal(line, f"{tmp_path / 'a.parquet'}: column 'time_s' string")
-
-
-def test_invalid_iso_date_is_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
     line = refusal_line(records.read_csv, path, CSV._replace(time_unit="iso"))
@@ -461,22 +345,16 @@ def test_invalid_iso_date_is_refused(tmp_path):
 # --- long records
 
 
-@pytest.mark.parametrize("kind", ["csv", "iso"])
-def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
+def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch):
     random, path = np.random.default_rng(3), tmp_path / "long"
-    record = Record(random.normal(size=(999, 3)), random.normal(size=(999, 3)), 100.0)
-    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz")
-    records.write_csv(record, path, layout)
-    head, *rows = path.read_text().splitlines()
-    if kind == "iso":  # milliseconds, of which 999 fit behind a point
-        cells = [row.partition(",") for row in rows]
-        rows = [f"2024-05-01T00:00:{float(time):06.3f},{rest}" for time, _, rest in cells]
-        layout = layout._replace(time_unit="iso")
+    rows = [",".join(map(repr, row)) for row in random.normal(size=(999, 6)).tolist()]
+    rows = [f"2024-05-01T00:00:{k / 100:06.3f},{row}" for k, row in enumerate(rows)]
     del rows[500:503]
     rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
-    rows.insert(50, "# a comment")
-    rows.insert(300, "")
-    path.write_text("\r\n".join([head, *rows]))
+    path.write_text(
+        "\r\n".join([HEAD.strip(), *rows[:50], "# a comment", *rows[50:300], "", *rows[300:]])
+    )
+    layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz", time_unit="iso")
     whole = records.read_record(path, layout)
     monkeypatch.setattr(reader, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
@@ -484,54 +362,31 @@ def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch, kind):
     assert whole[2:] == again[2:] and whole.filled == 4
 
 
-_PEAK = """
-import re, sys
-from sinsjax.records import RecordLayout, read_record
-def peak():
-    return int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1]) * 1024
-names = dict(gyro_columns=("gx", "gy", "gz"), accel_columns=("ax", "ay", "az"))
-before = peak()
-record = read_record(sys.argv[1], RecordLayout("csv", time_column="time_s", **names))
-print((peak() - before) / len(record.dv))
-"""
-
-
-@pytest.mark.nightly
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to read a peak from")
-def test_long_csv_record_is_read_in_little_memory(tmp_path):
-    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
-    random, path = np.random.default_rng(3), tmp_path / "long.csv"
-    record = Record(random.normal(size=(500_000, 3)), random.normal(size=(500_000, 3)), 200.0)
-    records.write_csv(record, path, CSV._replace(rate_hz=None))
-    ended = subprocess.run(
-        [sys.executable, "-c", _PEAK, str(path)], capture_output=True, text=True, check=True
-    )
-    assert float(ended.stdout) < 400
-
-
 # --- reference
-
-
-def test_reference_accepts_headings_and_record_time_column(tmp_path):
-    rows = "".join(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
-    (tmp_path / "r.csv").write_text("stamp;pitch_deg;roll_deg;heading_deg\n" + rows)
-    layout = CSV._replace(time_column="stamp", time_unit="ms")
-    reference = records.read_reference(tmp_path / "r.csv", layout)
-    np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
-    np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
-    line = refusal_line(records.read_reference, tmp_path / "r.csv")
-    assert_refusal(line, f"{tmp_path / 'r.csv'}: column 'time_s'")
-
 
 LEVEL = "time_s,pitch_deg,roll_deg"
 SIGMAS = "sigma_e_deg,sigma_n_deg,sigma_u_deg"
+
+
+def test_reference_accepts_headings_and_record_time_column(tmp_path):
+    columns = {"stamp": [0, 1000, 2000], "pitch_deg": [1.0] * 3, "roll_deg": [2.0] * 3}
+    table = pa.table(columns | {"heading_deg": [350.0, 351.0, 352.0]})
+    pq.write_table(table, tmp_path / "r.parquet")
+    (tmp_path / "r.csv").write_bytes(b"stamp;pitch_deg;roll_deg;heading_deg\n")
+    with (tmp_path / "r.csv").open("a") as file:
+        file.writelines(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
+    for path in (tmp_path / "r.csv", tmp_path / "r.parquet"):
+        layout = CSV._replace(time_column="stamp", time_unit="ms")
+        reference = records.read_reference(path, layout)
+        np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
+        np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
+        assert_refusal(refusal_line(records.read_reference, path), f"{path}: column 'time_s'")
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         (f"{LEVEL}\n0,1,2\n", "column 'yaw_deg' 'heading_deg' 'time_s'"),
-        ("time_s\0", "UTF-8"),
         (f"{LEVEL},yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "yaw_deg yaw_ccw_deg"),
         (f"{LEVEL},yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s"),
         (f"{LEVEL},yaw_deg\n0,91,2,3\n", "row 2: pitch_deg 90"),
@@ -545,32 +400,18 @@ def test_invalid_reference_is_refused(tmp_path, text, told):
     assert_refusal(refusal_line(records.read_reference, path), f"{path}: {told}")
 
 
-def test_reference_is_read_from_parquet(tmp_path):
-    columns = {"time_s": [0, 1], "yaw_deg": [5.0, 6.0], "pitch_deg": [1.0, 2.0]}
-    pq.write_table(pa.table(columns | {"roll_deg": [3.0, 4.0]}), tmp_path / "r.parquet")
-    reference = records.read_reference(tmp_path / "r.parquet")
-    np.testing.assert_array_equal(reference.time_s, [0.0, 1.0])
-    np.testing.assert_array_equal(reference.attitude_deg, [[1, 3, 5], [2, 4, 6]])
-    assert reference.sigma_deg is None
-
-
 # --- the real record
 
 
-@needs_data
-def test_real_psins_record_survives_round_trip(tmp_path):
-    record = records.read_record(REAL, records.PSINS_LAYOUT)
+def test_real_psins_record_survives_round_trip(tmp_path, data_dir):
+    record = records.read_record(data_dir / "lasergyro_0_900.imu", records.PSINS_LAYOUT)
     assert record.dtheta.shape == record.dv.shape == (90_000, 3)
     assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
     assert np.linalg.norm(record.dv.mean(0)) * 100 == pytest.approx(9.79548, abs=2e-5)
     records.write_psins(record, tmp_path / "again.imu")
     again = records.read_psins(tmp_path / "again.imu")
     assert same_bits(again.dtheta, record.dtheta) and same_bits(again.dv, record.dv)
-
-
-@needs_data
-def test_real_reference_has_expected_times_and_attitude():
-    reference = records.read_reference(DATA / "lasergyro_0_900_reference.csv")
+    reference = records.read_reference(data_dir / "lasergyro_0_900_reference.csv")
     np.testing.assert_array_equal(reference.time_s, np.arange(901.0))
     np.testing.assert_array_equal(reference.attitude_deg[0], [0.897249, 0.166239, -90.588884])
     assert reference.sigma_deg is not None and reference.sigma_deg[0, 2] == 0.047809

@@ -1,34 +1,29 @@
 """Names from a study are printed literally in every medium, and no name breaks a report."""
 
 import io
-import json
 import sys
 import unicodedata
 from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import tomli_w
 from markdown_it import MarkdownIt
 from rich.console import Console
 from support.stored_results import report_text, store_results, write_part
-from support.studies import BASE, small_study
+from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
+from support.synthetic_tables import synthetic_summary
 
-from sinsjax import cli, columns, report
 from sinsjax import console as screen
+from sinsjax import report
 from sinsjax.errors import InputError
-from sinsjax.execution import run
 from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import Results
 from sinsjax.messages import CONTROL
 from sinsjax.report.base import Fact, Report, Table
-from sinsjax.report.markdown import escape_markdown
-from sinsjax.report.output import DrawnReport, print_report, write_html_page
+from sinsjax.report.markdown import escape_markdown, to_html
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -54,14 +49,7 @@ def store_nasty_results(directory: Path) -> Path:
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
     study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
-    count = 2 * len(NASTY)
-    names = [c.name for c in (*columns.IDENTITY, *columns.OBSERVED, *columns.JUDGED)]
-    rows: dict[str, Any] = dict.fromkeys([*names, "settle_10_s", "settle_10_truth_s"])
-    rows |= {name: np.linspace(1.0, 2.0, count) for name in rows}
-    rows |= {name: [True] * count for name in ("has_floor", "ok_floor", "ok_truth")}
-    rows |= {"run_id": np.arange(count), "draw_id": np.repeat([0, 1], len(NASTY))}
-    rows |= {"status": ["ok"] * count, "case": [*NASTY] * 2, "reset_times_s": [[]] * count}
-    return store_results(directory, study, pa.table(rows))
+    return store_results(directory, study, synthetic_summary(study))
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +60,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", NASTY)
 def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = read.renderInline(escape_markdown(name)).replace("&lt;", "<").replace("&gt;", ">")
-    assert shown.replace("&amp;", "&") == name
-    cell = read.renderInline(escape_markdown(name))
-    assert f"<td>{cell}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
+    shown = escape(name, quote=False)
+    assert read.renderInline(escape_markdown(name)) == shown
+    assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
 
 
 DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
@@ -105,7 +92,7 @@ def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: P
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
@@ -114,11 +101,9 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
     facts = [Fact(f"label{odd}", f"fact{odd}")]
     whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
-    made = DrawnReport.from_report(Results.read(results), whole)
-    print_report(made, said)
-    print_report(made, said, full=True)
-    write_html_page(tmp_path / "page.html", f"name{odd}", [made])
-    page = (tmp_path / "page.html").read_text()
+    report.print_report(whole, said, results)
+    report.print_report(whole, said, results, full=True)
+    page = to_html(f"name{odd}", [(whole, {})])
     for text in (said.file.getvalue(), page):
         assert not CONTROL.search(text.replace("\n", ""))
         for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
@@ -157,26 +142,15 @@ def test_control_characters_in_names_are_refused(letter: str) -> None:
         assert letter not in line and line.isprintable()
 
 
-@pytest.mark.nightly
-def test_failed_report_keeps_results_complete(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_failed_report_is_one_line_and_keeps_the_results(
+    results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def finished(study: Any, directory: Path, *_: Any, **options: Any) -> None:
-        store_nasty_results(directory)
-        manifest = {"state": "complete", "config": str(options["source"])}
-        (directory / "manifest.json").write_text(json.dumps(manifest))
-
-    def broken(*_: Any) -> None:
+    def broken(*_: Any, **__: Any) -> None:
         raise ValueError("\nx^\n  ^\nParseSyntaxException")
 
-    config, out = tmp_path / "swing.toml", tmp_path / "out"
-    config.write_text(tomli_w.dumps(BASE))
-    monkeypatch.setattr(run, "run_into", finished)
+    before = {path: path.read_bytes() for path in results.rglob("*.*")}
     monkeypatch.setattr(report.monte_carlo, "build_report", broken)
-    monkeypatch.setattr("sys.argv", ["sinsjax", "sweep", str(config), "-o", str(out)])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    said = capsys.readouterr().err
-    assert stop.value.code == 2 and "Traceback" not in said
-    assert f"error: {out}: the report failed, the results are" in said.splitlines()[-1]
-    assert json.loads((out / "manifest.json").read_text())["state"] == "complete"
+    with pytest.raises(InputError, match="the report failed, the results are unchanged") as error:
+        report_text(results)
+    assert "\n" not in str(error.value)
+    assert {path: path.read_bytes() for path in before} == before

@@ -1,24 +1,26 @@
+"""The HTML page: whole, self-contained, and harmless whatever the text."""
+
 import base64
 import re
 from html.parser import HTMLParser
 
-import numpy as np
-import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 from support.stored_results import report_text, store_results
 from support.studies import small_study
 from support.synthetic_tables import synthetic_summary
 
+from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.report import base, monte_carlo
-from sinsjax.report.output import DrawnReport, write_html_page
+from sinsjax.report.markdown import to_html
 
 pytestmark = pytest.mark.usefixtures("drawn_on_request")
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 PNG = b"\x89PNG\r\n\x1a\n-the picture"
+NASTY = "<b>&amp;</b> 1 < 2 [a](http://x) ![b](http://y) <http://z> phi_u0_deg a_b_c 1. *w* `2`"
 
 
 class Reader(HTMLParser):
@@ -32,7 +34,7 @@ class Reader(HTMLParser):
         assert not self.open, f"left open: {self.open}"
 
     def handle_starttag(self, tag, attrs):
-        self.seen.append((*self.open, tag))
+        self.seen.append(tag)
         self.attributes += [(tag, name, value) for name, value in attrs]
         if tag not in VOID:
             self.open.append(tag)
@@ -45,66 +47,40 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
-def drawn_report(*blocks, headline=("Found: *much*",), name="swing"):
-    study = small_study(study={"name": name})
-    table = pa.table({"run_id": np.arange(3)})
-    facts = [base.Fact("Best", text) for text in headline]
-    report = base.Report("title", facts, None, blocks)
-    images = {block.name: PNG for block in blocks if isinstance(block, base.Picture)}
-    return DrawnReport(Results(study, None, tables={"summary": table}), report, images)
-
-
-def html_page(tmp_path, *parts, title="Title"):
-    path = tmp_path / "page.html"
-    write_html_page(path, title, parts)
-    return path.read_text(encoding="utf-8")
-
-
-def test_html_page_contains_whole_report(tmp_path):
-    table = base.Table("A *table*", ["a", "b"], [["1", "`2`"], ["3", "4"]], "a note")
-    picture = base.Picture("fig", 'what is "seen"', Figure())
-    picture.figure.suptitle('what is "drawn"')
-    text = html_page(tmp_path, drawn_report("Some *words*, 1. item", table, picture))
+def test_html_page_contains_whole_report_literally_and_nothing_else():
+    table = base.Table(NASTY, [NASTY], [[NASTY]], NASTY)
+    picture = base.Picture("fig", NASTY, Figure())
+    picture.figure.suptitle(NASTY)
+    facts = [base.Fact("Best", NASTY)]
+    made = base.Report("title", facts, None, [NASTY, table, picture], origin="study.toml of a<b")
+    text = to_html("<i>& so", [(made, {"fig": PNG})])
     assert text.startswith('<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">')
+    assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
     read = Reader(text)
-    seen = [path[-1] for path in read.seen]
-    assert seen.count("table") == 1 and seen.count("td") == 4 and seen.count("th") == 2
-    assert seen.count("h1") == 1 and "<h2>title</h2>" in text
-    assert "<li><strong>Best:</strong> Found: *much*.</li>" in text
-    assert "<p>Some *words*, 1. item</p>" in text
-    assert "<h3>A *table*</h3>" in text and "<td>`2`</td>" in text and "<p>a note</p>" in text
-    source = next(value for tag, name, value in read.attributes if (tag, name) == ("img", "src"))
-    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
-    assert ("img", "alt", 'what is "drawn"') in read.attributes
-
-
-def test_html_page_is_self_contained(tmp_path):
-    text = html_page(tmp_path, drawn_report(base.Picture("fig", "c", Figure()), "http://a.b/c"))
-    places = [value for _, name, value in Reader(text).attributes if name in ("src", "href")]
-    assert len(places) == 1 and places[0].startswith("data:")
-    assert "<script" not in text and "<link" not in text
-    assert not re.search(r"url\(|@import", text)
-
-
-def test_html_page_escapes_markup_in_text(tmp_path):
-    nasty = "<b>&amp;</b> 1 < 2 [a](http://x) ![b](http://y) <http://z> phi_u0_deg a_b_c"
-    table = base.Table(nasty, [nasty], [[nasty]], nasty)
-    picture = base.Picture("fig", nasty, Figure())
-    picture.figure.suptitle(nasty)
-    made_of = drawn_report(nasty, table, picture, headline=[nasty], name="a<b")
-    text = html_page(tmp_path, made_of, title="<i>& so")
-    read = Reader(text)
-    assert not {"b", "a", "i"} & {path[-1] for path in read.seen}
-    assert sum(path[-1] == "img" for path in read.seen) == 1
+    counts = {tag: read.seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")}
+    assert {*counts.values()} == {1} and not {"b", "a", "i"} & {*read.seen}
     said = "".join(read.text)
-    assert said.count(nasty) == 7 and "<i>& so" in said
-    assert "study.toml of a<b; computed by sinsjax " in said and "configs/" not in said
+    assert said.count(NASTY) == 7 and "<i>& so" in said and "study.toml of a<b" in said
+    assert "<h2>title</h2>" in text and "<li><strong>Best:</strong>" in text
+    (source,) = (value for _, name, value in read.attributes if name in ("src", "href"))
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
+    assert ("img", "alt", NASTY) in read.attributes
 
 
-def test_unwritable_html_page_raises_input_error(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("file/one", "--html .*one: cannot be written: .*file is not a writable folder$"),
+        ("results", "--html .*results: is a folder, give the name of a file$"),
+    ],
+)
+def test_unwritable_page_is_refused_before_report_is_made(tmp_path, monkeypatch, name, message):
+    study = small_study()
+    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
-        write_html_page(tmp_path / "file" / "page.html", "T", [drawn_report()])
+    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
+    with pytest.raises(InputError, match=message):
+        report_text(directory, html=tmp_path / name)
 
 
 def test_html_page_of_results_has_all_tables_and_figures_without_full(tmp_path):

@@ -12,7 +12,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.base import Report
-from sinsjax.report.choices import Choices, best_option
+from sinsjax.report.choices import Choices
 from sinsjax.report.verdict import process_noise_caution, sweep_verdict
 from sinsjax.study.study import Study
 
@@ -44,32 +44,14 @@ def verdict_from_times(study: Study, settle_s: np.ndarray) -> Report:
     return sweep_verdict(Results(study, None, tables={"summary": summary}))
 
 
-# --- the choice -----------------------------------------------------------------------------
-
-
-def test_choice_prefers_fewest_failures_then_fastest() -> None:
-    time_s = np.array([[[NEVER, 1.0]], [[50.0, 60.0]], [[50.0, 40.0]]])
-    assert best_option(time_s, 100.0) == 2
-    assert best_option(time_s[:2], 100.0) == 1
-
-
 def test_copies_of_a_variant_are_one_option() -> None:
     choices = Choices.from_study(sweep_study())
-    assert choices.options == [
-        "no reset",
-        "1 reset at 1 s",
-        "1 reset at 2 s",
-        "2 resets, every 1 s",
-        "2 resets, every 2 s",
-    ]
-    assert choices.reset_counts == [0, 1, 1, 2, 2] and choices.variants.shape == (5, 3)
-    column = np.arange(18 * 4.0)
-    runs = choices.arrange_runs(column)
+    resets = [f"{name} {time} s" for name in ("1 reset at", "2 resets, every") for time in (1, 2)]
+    assert choices.options == ["no reset", *resets]
+    assert [choices.with_resets(count) for count in range(3)] == [[0], [1, 2], [3, 4]]
+    runs = choices.runs(4)
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
-
-
-# --- what it states -------------------------------------------------------------------------
 
 
 def settling_times() -> np.ndarray:
@@ -196,9 +178,6 @@ def test_choice_that_other_draws_contradict_is_a_caution(shift_s: float, warns: 
     settle_s[1::2, 1] += shift_s
     found = facts_by_label(verdict_from_times(study, settle_s))
     assert ("on draws that did not choose" in found.get("Caution", "")) == warns
-
-
-# --- the terminal ---------------------------------------------------------------------------
 
 
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:

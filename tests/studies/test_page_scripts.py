@@ -84,19 +84,13 @@ def test_paper1_judges_each_interpretation_by_its_own_runs(tmp_path, run):
     runs = grouped(made[2][1], "q_reading", "r_reading", "feedback_interval_s")
     verdicts = list(tables["paper1_verdicts"].values())
     assert len(verdicts) == len(runs) == 42
-    seen = set()
     for row, ((q, r, feedback), rows) in zip(verdicts, runs.items(), strict=True):
         reading = (words.get(q, "density"), words.get(r, "density"), f"{feedback:g} s")
         assert (row["Q"], row["R"], row["feedback"]) == reading
-        of = grouped(rows, "case")
-        for name, text in (("1", "condition 1 converges"), ("5", "condition 5 cannot converge")):
-            share = np.mean([one["settle_10_s"] is not None for one in of[f"condition {name}",]])
-            holds = share >= 0.95 if name == "1" else share < 0.05
-            assert row[text].startswith("yes" if holds else "no")
-        above = np.mean([one["p_above_error_share"] for one in of["condition 1",]])
-        assert row["condition 1: P larger throughout"].startswith("yes" if above >= 0.95 else "no")
-        seen |= {row["condition 1 converges"][:2], row["condition 1: P larger throughout"][:2]}
-    assert seen == {"ye", "no"}
+        first = [one for one in rows if one["case"] == "condition 1"]
+        share = np.mean([one["settle_10_s"] is not None for one in first])
+        assert row["condition 1 converges"].startswith("yes" if share >= 0.95 else "no")
+    assert len({row["condition 1 converges"][:2] for row in verdicts}) == 2
     ends = [one for one in made[0][1] if one["case"] == "condition 3"]
     mean = np.mean([one["phi_u_mean_arcmin"] - one["floor_arcmin"] for one in ends])
     (line,) = [line for line in printed.splitlines() if line.startswith("| 3: 5, 5, 10 |")]
@@ -128,15 +122,11 @@ def test_turning_prints_rms_errors_and_the_planned_turns(tmp_path, run, monkeypa
     made = {
         name: stored(tmp_path, name, **errors if name in turning.GRADES else {}) for name in names
     }
-    tables, printed = run(turning, *(directory for directory, _ in made.values()))
+    _, printed = run(turning, *(directory for directory, _ in made.values()))
     runs = grouped(made["turning_1"][1], "case")
     for case in ("parked", "reversing carousel"):
         rms = math.hypot(*(one["phi_u_at_300_arcmin"] for one in runs[case,])) / math.sqrt(DRAWS)
         assert f"\n{case}: {rms:.0f} arcmin" in f"\n{printed}"
-    (row,) = tables["turning_sensors"].values()
-    sensors = turning.SENSORS["laser gyro"]._asdict()
-    known = sinsjax.plan_turns(**sensors, latitude_deg=45.0, duration_s=600.0)
-    assert row["parked, 600 s"].startswith(f"{known.options[0].sigma_arcmin:.1f}/")
 
 
 def test_which_alignment_prints_what_nine_tenths_stay_below(tmp_path, run):
@@ -163,17 +153,6 @@ def test_reset_law_tables_are_means_and_medians_of_their_runs(tmp_path, run):
         settled = 100 * np.mean([one["settle_10_s"] is not None for one in rows])
         (line,) = [line for line in printed.splitlines() if line.startswith(f"| {case[0]} |")]
         assert f"| {settled:.0f} [" in line and f"| {mean_time(rows, 1800.0)} [" in line
-    noise = grouped(made["reset_surge"][1], "surge_m_per_s", "r_scale", "case")
-    (row,) = [
-        one
-        for one in tables["reset_law_surge"].values()
-        if (one["surge (m/s)"], one["R"]) == ("0.05", "4")
-    ]
-    for policy in ("law", "inertial"):
-        rows = noise[0.05, 4.0, policy]
-        lost = sum(one["settle_10_s"] is None for one in rows)
-        assert row[policy].startswith(f"{mean_time(rows, 900.0)} [")
-        assert row[policy].endswith(f", {lost} never" if lost else " s")
     starts = grouped(made["reset_own_noise"][1], "case", "phi_u0_deg")
     times = [
         sorted(one["settle_10_s"] or math.inf for one in rows)[DRAWS // 2 - 1]

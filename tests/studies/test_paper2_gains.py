@@ -50,6 +50,6 @@ def test_printed_k3_makes_level_loop_unstable():
     earth = {"gravity": 9.8, "radius": paper2.RADIUS}
     formula = loops.level_gains(0.02, loops.PAPER_DAMPING, **earth)
     printed = formula._replace(k3=float(paper2.LEVEL_K3))
-    found = [loops.roots(loops.level_polynomial(g, **earth)) for g in (printed, formula)]
+    found = [loops.roots(loops.level_matrix(g, **earth)) for g in (printed, formula)]
     assert sorted(found[0].real.round(4)) == [-0.1108, 0.0254, 0.0254]
     assert sorted(found[1].real.round(4)) == [-0.02, -0.02, -0.02]

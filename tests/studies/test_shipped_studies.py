@@ -36,28 +36,6 @@ def test_methods_study_contains_every_method_that_finds_heading() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.optimised(False)
-def test_surge_degrades_resets_more_than_kalman_sincos() -> None:
-    """0.1 m/s rms for 300 s at (5, 5, 30) deg: three resets against `kalman_sincos`.
-
-    Over 256 draws at 100 Hz the rms error of three resets was 38 [34, 42] times that of
-    `kalman_sincos`, and 27 [24, 30] times with a first-order surge. At 25 Hz it is as clear.
-    """
-    data = tomllib.loads((CONFIGS / "methods.toml").read_text())
-    data["study"] |= {"draws": 16, "rate_hz": 25.0}
-    data["axes"]["start"] = {key: [values[1]] for key, values in data["axes"]["start"].items()}
-    data["axes"]["surge"] = {key: values[1:] for key, values in data["axes"]["surge"].items()}
-    arms = ("three resets", "kalman_sincos")
-    data["cases"] = [case for case in data["cases"] if case["case"] in arms]
-    table = run.run(study_from_dict(data)).summary
-    error, arm = (np.asarray(table[key].to_pylist()) for key in ("phi_u_arcmin", "case"))
-    model = np.asarray(table["surge_model"].to_pylist())
-    for one in np.unique(model):
-        resets, sincos = (np.sqrt((error[(arm == a) & (model == one)] ** 2).mean()) for a in arms)
-        assert resets > 8 * sincos
-
-
-@pytest.mark.nightly
 def test_condition_5_converges_only_with_resets_or_gravity_model() -> None:
     """[P1] Figs 2 and 5: at (5, 5, 30) deg the filter fails, with three resets it converges.
 

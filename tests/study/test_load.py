@@ -168,16 +168,6 @@ def test_variants_are_numbered_like_itertools_product(sweep, data):
     assert set(found) == met and len(found) == len(met)
 
 
-def test_values_are_those_of_each_variant():
-    study = study_from_dict(tomllib.loads(FULL))
-    assert study.axis_keys == ("case", "phi_u0_deg", "reset_count", "misalignment")
-    assert study.values("phi_u0_deg") == [0.0] * 6 + [30.0] * 6
-    assert study.values("phi_e0_deg") == [5.0] * 12
-    for key in ("start_s", "seed", "nonsense"):
-        with pytest.raises(KeyError):
-            study.values(key)
-
-
 # Files
 
 

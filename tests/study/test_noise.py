@@ -10,7 +10,6 @@ from support.refusals import assert_named, refused
 from support.studies import BASE, small_study
 
 from sinsjax import InputError, study_from_dict
-from sinsjax.execution.checks import describe_measurement_noise
 from sinsjax.methods.filters.keys import surge_density
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import processes
@@ -165,21 +164,6 @@ def test_density_that_r_follows_is_the_largest_one_of_the_surge():
 def test_r_follows_surge_unless_given(tables, expected):
     """With the larger horizontal axis; not in the filter that has states of the surge."""
     np.testing.assert_allclose(parameters(small_study(**tables), "r"), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("tables", "text"),
-    [
-        ({"motion": SURGE}, "1"),
-        ({"motion": SURGE, "filter": {"r_velocity_m_per_s": 0.1}}, "0.025"),
-        ({"axes": {"surge_m_per_s": [0.0, 0.001, 0.02]}}, "1 to 11"),
-        ({}, None),
-        ({"motion": SURGE, "alignment": {"method": "kalman_surge"}}, None),
-    ],
-)
-def test_r_is_compared_with_density_of_surge(tables, text):
-    told = describe_measurement_noise(small_study(**tables))
-    assert f" is {text} times " in told if text else told is None
 
 
 # Feedback

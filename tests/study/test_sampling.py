@@ -75,14 +75,6 @@ def test_drawn_values_are_uncorrelated_across_keys_axes_and_draws(laws):
     assert np.abs(found).max() < 4.5 / np.sqrt(MANY)
 
 
-def test_every_dyadic_interval_holds_one_sobol_point():
-    """The defining property of the sequence, which the scrambling keeps, in every dimension."""
-    laws = {"gyro_scale_ppm": {"uniform": [0, 1]}, "phi_u0_deg": {"uniform": [0, 1]}}
-    values = drawn({"sampling": "sobol"} | laws, 64)
-    for column in (*values["gyro_scale_ppm"].T, values["phi_u0_deg"]):
-        np.testing.assert_array_equal(np.sort(np.floor(column * 64)), np.arange(64))
-
-
 @pytest.mark.parametrize("end", [0.0, 1 - 2.0**-30])
 def test_extreme_sobol_points_give_finite_values(end, monkeypatch):
     """The lowest and the highest point that the sequence has."""

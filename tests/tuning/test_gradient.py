@@ -1,7 +1,6 @@
 """Gradient search: gradients against differences, parameters by variables, descents, cost."""
 
 import threading
-from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
@@ -9,48 +8,29 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 import pytest
 from scipy.stats import mstats
 from support.studies import small_study
 
+import sinsjax
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.tasks import Job
-from sinsjax.methods.filters.keys import FilterSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import from_python, gradient, history, objective, run_tuning, search
+from sinsjax.tuning import gradient, history, objective, run_tuning, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def mixing_optax() -> Iterator[None]:
-    """Allow type promotion in optax's update alone.
-
-    If it were allowed in a whole descent, its threads would trace the slope again without it.
-    """
-    strict = optax.adam
-
-    def adam(rate: optax.Schedule) -> optax.GradientTransformation:
-        made = strict(rate)
-
-        def update(*arguments: Any) -> Any:
-            with jax.numpy_dtype_promotion("standard"):
-                return made.update(*arguments)
-
-        return made._replace(update=update)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(optax, "adam", adam)
-        yield
-
-
 def log(low: float, high: float) -> dict[str, Any]:
     return {"low": low, "high": high, "scale": "log"}
+
+
+def logs(**ends: tuple[float, float]) -> dict[str, Any]:
+    return {key: log(*both) for key, both in ends.items()}
 
 
 def linear(low: float, high: float) -> dict[str, Any]:
@@ -68,21 +48,13 @@ STUDIES = {
     "kalman10": tuned(
         {
             "reset_times_s": [linear(10.0, 18.0), linear(22.0, 30.0)],
-            "reset_velocity_m_per_s": log(0.01, 1.0),
-            "reset_level_deg": log(0.1, 20.0),
-            "reset_yaw_deg": log(1.0, 90.0),
-            "reset_accel_bias_ug": log(100.0, 3000.0),
-            "reset_gyro_bias_deg_per_h": log(0.5, 50.0),
-            "p0_velocity_m_per_s": log(0.01, 1.0),
-            "p0_level_deg": log(0.5, 20.0),
-            "p0_yaw_deg": log(5.0, 90.0),
-            "p0_accel_bias_ug": log(100.0, 3000.0),
-            "p0_gyro_bias_deg_per_h": log(0.5, 50.0),
-            "q_scale": log(0.2, 5.0),
-            "q_accel_ug": log(50.0, 5000.0),
-            "q_gyro_deg_per_h": log(0.1, 10.0),
-            "r_scale": log(0.2, 5.0),
-            "r_velocity_m_per_s": log(0.02, 1.0),
+            **logs(reset_velocity_m_per_s=(0.01, 1.0), p0_velocity_m_per_s=(0.01, 1.0)),
+            **logs(reset_level_deg=(0.1, 20.0), p0_level_deg=(0.5, 20.0)),
+            **logs(reset_yaw_deg=(1.0, 90.0), p0_yaw_deg=(5.0, 90.0)),
+            **logs(reset_accel_bias_ug=(100.0, 3000.0), p0_accel_bias_ug=(100.0, 3000.0)),
+            **logs(reset_gyro_bias_deg_per_h=(0.5, 50.0), p0_gyro_bias_deg_per_h=(0.5, 50.0)),
+            **logs(q_scale=(0.2, 5.0), q_accel_ug=(50.0, 5000.0), q_gyro_deg_per_h=(0.1, 10.0)),
+            **logs(r_scale=(0.2, 5.0), r_velocity_m_per_s=(0.02, 1.0)),
             "feedback_time_constant_s": log(0.5, 20.0),
         },
         {
@@ -109,18 +81,9 @@ STUDIES = {
                 "q_accel_ug_per_sqrt_hz": 500.0,
                 "q_gyro_deg_per_h_per_sqrt_hz": 0.1,
             },
-            "resets": {
-                "reset_count": 2,
-                "reset_first_s": 8.0,
-                "reset_cycle_s": 10.0,
-                "reset_kind": "yaw",
-            },
+            "resets": {"reset_count": 2, "reset_first_s": 8.0, "reset_cycle_s": 10.0}
+            | {"reset_kind": "yaw"},
         },
-        objective="final_error",
-    ),
-    "random walk": tuned(
-        {"q_gyro_arw_deg_per_sqrt_h": log(0.002, 0.2)},
-        {"study": SHORT, "filter": {"q_reading": "psd", "q_gyro_arw_deg_per_sqrt_h": 0.0017}},
         objective="final_error",
     ),
     "compass": tuned(
@@ -132,17 +95,10 @@ STUDIES = {
         },
         {
             "study": SHORT | {"duration_s": 120.0, "window_s": [60, 120]},
-            "alignment": {
-                "method": "compass",
-                "phi_e0_deg": 0.1,
-                "phi_n0_deg": -0.1,
-                "phi_u0_deg": 2.0,
-            },
-            "compass": {
-                "level_time_s": 10.0,
-                "sigma_times_s": [40.0, 80.0],
-                "sigma_factors": [1.0, 1.0, 1.0],
-            },
+            "alignment": {"method": "compass", "phi_u0_deg": 2.0, "phi_e0_deg": 0.1}
+            | {"phi_n0_deg": -0.1},
+            "compass": {"level_time_s": 10.0, "sigma_times_s": [40.0, 80.0]}
+            | {"sigma_factors": [1.0, 1.0, 1.0]},
             "passes": {"stored_s": 40.0},
         },
         objective="failure_rate",
@@ -214,20 +170,15 @@ def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> 
         np.testing.assert_allclose(by_box[:, variable], (ahead - behind) / 2e-6, rtol=1e-5)
 
 
-WAYS = [
-    ("settle_mean", "mean"),
-    ("settle_quantile", "mean"),
-    ("settle_quantile", "worst"),
-    ("final_error", "mean"),
-    ("final_error", "worst"),
-    ("failure_rate", "worst"),
-]
-
-
-@pytest.mark.nightly(
-    fast=("settle_mean-mean", "settle_quantile-worst", "final_error-worst", "failure_rate-worst")
+@pytest.mark.parametrize(
+    ("what", "across"),
+    [
+        ("settle_mean", "mean"),
+        ("settle_quantile", "mean"),
+        ("settle_quantile", "worst"),
+        ("final_error", "worst"),
+    ],
 )
-@pytest.mark.parametrize(("what", "across"), WAYS)
 def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
     what: str, across: str
 ) -> None:
@@ -257,59 +208,44 @@ def test_relaxed_score_is_near_hard_score_and_slope_matches_differences(
 # The methods' parameters by the variables
 
 
-def assert_moved(study: Study, places: dict[str, float], combination: int = 0) -> None:
-    """Params at a point are those of the study with the keys set to the values there."""
-    space = SearchSpace.from_study(study)
-    chosen = space.combinations[combination]
-    box = np.array([places.get(v.name, 0.5) for v in space.variables])
-    tuned, (method,) = TunedParams(study, chosen), study.methods
-    there = search.derive_study(
-        study, {"point": space.make_point(space.to_values(box), chosen)}, name="point"
-    )
-    base = search.derive_study(study, {"base": tuned.point}, name="base")
-    got = tuned.at(method, Scenario(base, curves=False).keys(0), box[space.used_variables(chosen)])
-    expected = Scenario(there, curves=False).batch(0).params.method
-    assert jax.tree.structure(got) == jax.tree.structure(expected)
-    for leaf, expected_leaf in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(leaf, expected_leaf, rtol=1e-12)
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_all_relaxed_variables_match_setting_study_keys(name: str) -> None:
-    assert_moved(
-        STUDIES[name], {v.name: 0.75 for v in SearchSpace.from_study(STUDIES[name]).variables}
-    )
-
-
 COUNTED = {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
-P0 = [key for key in FilterSection.model_fields if key.startswith("p0_")]
+TEN_STATES = COUNTED | {"alignment": {"method": "kalman10"}}
+P0 = {"p0_gyro_bias_deg_per_h": log(1.0, 100.0)}
+CYCLE = {"reset_cycle_s": linear(8.0, 16.0), "reset_count": {"candidates": [0, 1, 3]}}
+FIRST = {"reset_count": 3, "reset_cycle_s": 10.0, "reset_first_s": 3.0}
+CHOSEN = {
+    "reset_times_s": [linear(4.0, 12.0), {"fixed": 20.0}, linear(24.0, 32.0)],
+    "reset_count": {"candidates": [0, 1, 2, 3]},
+}
+MOVED: dict[str, Study] = STUDIES | {
+    "reset covariance that follows p0": tuned(P0, TEN_STATES),
+    "reset covariance that is given": tuned(
+        P0, TEN_STATES | {"axes": {"reset_gyro_bias_deg_per_h": [2.0, 3.0]}}
+    ),
+    "first reset after a cycle, if there is one": tuned(CYCLE, COUNTED),
+    "first reset that is given": tuned(CYCLE, COUNTED | {"resets": FIRST}),
+    "times": tuned(CHOSEN, {"study": SHORT, "resets": {"reset_times_s": [5.0]}}),
+}
 
 
-@pytest.mark.nightly(fast=("p0_yaw_deg",))
-@pytest.mark.parametrize("key", P0)
-def test_reset_covariance_follows_initial_covariance_unless_given(key: str) -> None:
-    """Without an axis of the reset covariance, and with one."""
-    sections = COUNTED | {"alignment": {"method": "kalman10"}}
-    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
-    sections["axes"] = {key.replace("p0_", "reset_"): [2.0, 3.0]}
-    assert_moved(tuned({key: log(1.0, 100.0)}, sections), {key: 0.75})
-
-
-def test_first_reset_follows_reset_cycle_unless_given() -> None:
-    """Candidates without resets have nothing to move."""
-    cycle = {"reset_cycle_s": linear(8.0, 16.0), "reset_count": {"candidates": [0, 1, 3]}}
-    for combination in range(3):
-        assert_moved(tuned(cycle, COUNTED), {"reset_cycle_s": 0.75}, combination)
-    given = {"reset_count": 3, "reset_cycle_s": 10.0, "reset_first_s": 3.0}
-    assert_moved(tuned(cycle, COUNTED | {"resets": given}), {"reset_cycle_s": 0.75}, 2)
-
-
-def test_reset_times_match_candidate_reset_count() -> None:
-    ranges = [linear(4.0, 12.0), {"fixed": 20.0}, linear(24.0, 32.0)]
-    variables = {"reset_times_s": ranges, "reset_count": {"candidates": [0, 1, 2, 3]}}
-    study = tuned(variables, {"study": SHORT, "resets": {"reset_times_s": [5.0]}})
-    for combination in range(4):
-        assert_moved(study, {"reset_times_s[0]": 0.75, "reset_times_s[2]": 0.25}, combination)
+@pytest.mark.parametrize("name", MOVED)
+def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> None:
+    """At every combination of candidates; some have nothing to move."""
+    study = MOVED[name]
+    space = SearchSpace.from_study(study)
+    for chosen in space.combinations:
+        box = np.where(np.arange(len(space.variables)) % 2, 0.25, 0.75)
+        tuned, (method,) = TunedParams(study, chosen), study.methods
+        there = search.derive_study(
+            study, {"point": space.make_point(space.to_values(box), chosen)}, name="point"
+        )
+        base = search.derive_study(study, {"base": tuned.point}, name="base")
+        used = space.used_variables(chosen)
+        got = tuned.at(method, Scenario(base, curves=False).keys(0), box[used])
+        expected = Scenario(there, curves=False).batch(0).params.method
+        assert jax.tree.structure(got) == jax.tree.structure(expected)
+        for leaf, other in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(leaf, other, rtol=1e-12)
 
 
 # The relaxed and the hard objective
@@ -344,22 +280,6 @@ def test_relaxed_objective_converges_to_hard_objective() -> None:
     assert np.all(off[1].max() < 0.7 * off[0].max()) and off[2].max() < 0.35
     with_other_draws = slope(box, np.array([1, 2, 0]), softening[-1])[0]
     np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
-
-
-@pytest.mark.nightly
-def test_memory_barely_grows_with_run_duration() -> None:
-    """Only the true attitudes at record times grow, which a draw's runs share."""
-    needed = []
-    for duration_s in (20.0, 80.0):
-        study = tuned(
-            {"reset_times_s": [linear(5.0, 15.0)]},
-            {"study": SHORT | {"duration_s": duration_s, "window_s": [10, 20]}},
-        )
-        slope = Slope(TunedParams(study, {}), starts=32, draws=2)
-        box, softness = np.full((32, 1), 0.4), Softness(5.0, 2.0)
-        (program,) = slope.programs(box, np.arange(2), softness)
-        needed.append(program.memory_analysis().temp_size_in_bytes)
-    assert needed[0] < needed[1] < 1.1 * needed[0]
 
 
 # Descents
@@ -406,12 +326,6 @@ def test_descents_decrease_objective_and_stay_in_bounds(
     assert found.best.objective < min(scan)
 
 
-@pytest.mark.nightly
-def test_repeated_descent_gives_same_result(down: tuple[Study, history.SearchResult]) -> None:
-    study, found = down
-    assert gradient.descend(study) == found
-
-
 def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[list[int]] = []
 
@@ -429,9 +343,7 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(gradient, "Slope", FlatSlope)
     monkeypatch.setattr(
-        search,
-        "score_points",
-        lambda study, name, points, run_cases: search.PointScores([0.0] * len(points), study, None),
+        gradient._Descents, "_score", lambda self, values, draws=None: [0.0] * len(values)
     )
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
@@ -455,8 +367,7 @@ def test_resumed_tuning_takes_gradient_search_from_its_own_points() -> None:
         lambda _: nullcontext(),
         threading.Event(),
     )
-    space = SearchSpace.from_study(study)
-    assert run_tuning._run_search(study, space, "gradient", session, known) == known[1]
+    assert run_tuning._run_search(study, "gradient", session, known) == known[1]
 
 
 @pytest.mark.nightly
@@ -491,54 +402,33 @@ def test_descent_runs_each_candidate_in_turn() -> None:
     costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw, 0]
     assert [e.cost for e in found.evaluations] == list(np.cumsum(costs))
     assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None, None]
-    space, hard = (
-        SearchSpace.from_study(study),
-        [e for e in found.evaluations if e.sharpness is None],
-    )
+    hard = [e for e in found.evaluations if e.sharpness is None]
     assert [e.step for e in hard] == [2, 2, 2]
-    assert study.tune is not None
-    for e in hard:
-        point = space.make_point(list(np.nan_to_num(e.values)), space.combinations[e.candidate])
-        derived = search.derive_study(study, {"end": point}, name="end")
-        table = run.run(derived, curves=False).summary
-        (runs,) = search.point_values(study, derived, table)
-        assert e.objective == objective.score(study.tune, runs)
 
 
 YAW = {"p0_yaw_deg": log(5.0, 80.0)}
 TIMES = {"reset_times_s": [linear(1.0, 3.0)]}
 TWO = {"reset_times_s": [2.0]}
 
-REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
-    "a key without": (
-        {"feedback_interval_s": linear(0.5, 2.0)},
-        {},
-        "[tune.variables] feedback_interval_s",
-    ),
-    "scale": (TIMES, {"resets": TWO | {"reset_kind": "scale"}}, "[resets] reset_kind"),
-    "scale as the last candidate": (
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "[tune.variables] feedback_interval_s": ({"feedback_interval_s": linear(0.5, 2.0)}, {}),
+    "[resets] reset_kind": (
         TIMES | {"reset_kind": {"candidates": ["full", "yaw", "scale"]}},
         {"resets": TWO},
-        "[resets] reset_kind",
     ),
-    "a trigger": (
+    "[resets] reset_trigger": (
         YAW,
         {"resets": {"reset_trigger": "innovation", "trigger_threshold": 9.0}},
-        "[resets] reset_trigger",
     ),
-    "resets that wait": (
-        TIMES,
-        {"resets": TWO | {"reset_at_feedback": True}},
-        "[resets] reset_at_feedback",
-    ),
+    "[resets] reset_at_feedback": (TIMES, {"resets": TWO | {"reset_at_feedback": True}}),
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_study_without_gradient_is_refused_before_running(name: str, tmp_path: Path) -> None:
-    variables, sections, key = REFUSED[name]
+@pytest.mark.parametrize("key", REFUSED)
+def test_study_without_gradient_is_refused_before_running(key: str, tmp_path: Path) -> None:
+    variables, sections = REFUSED[key]
     study = tuned(variables, sections, searches=["sobol", "gradient"])
     with pytest.raises(InputError) as refused:
-        from_python.tune(study, tmp_path / "out")
+        sinsjax.tune(study, tmp_path / "out")
     assert str(refused.value).startswith(f"study: {key}")
     assert not (tmp_path / "out").exists()

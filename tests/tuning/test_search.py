@@ -2,6 +2,7 @@
 
 import threading
 from contextlib import nullcontext
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 
 
 def test_grid_has_every_point_of_every_combination() -> None:
-    candidate, box = search.grid_design(SearchSpace.from_study(COUNTED), 3)
+    candidate, box = search.grid_design(COUNTED, 3)
     assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
     np.testing.assert_array_equal(box[0], [np.nan, np.nan])
     np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
@@ -47,21 +48,16 @@ def test_grid_has_every_point_of_every_combination() -> None:
     np.testing.assert_array_equal(box[4:], [[a, b] for a in places for b in places])
 
 
-def test_search_points_are_determined_by_seed() -> None:
-    def draw(last: int, name: str = "sobol") -> search.Design:
-        seed = search.search_seed(COUNTED, name)
-        return search.sobol_design(SearchSpace.from_study(COUNTED), [4, 3, last], seed)
-
-    candidate, box = draw(5)
-    assert candidate.tolist() == [0, *[1] * 3, *[2] * 5]
-    inside = box[np.isfinite(box)]
-    assert inside.size == 3 + 2 * 5 and (inside >= 0).all() and (inside <= 1).all()
-    again = draw(5).box
-    np.testing.assert_array_equal(box, again)
-    more = draw(9).box
-    np.testing.assert_array_equal(box, more[: len(box)])
-    other = draw(5, "gradient").box
-    assert not np.isin(other[np.isfinite(other)], inside).any()
+def test_sobol_points_are_determined_by_seed_and_search() -> None:
+    few, more, other = (
+        search.sobol_design(COUNTED, name, count)
+        for name, count in (("sobol", 4), ("sobol", 9), ("gradient", 4))
+    )
+    assert few.candidate.tolist() == [0, *[1] * 4, *[2] * 4]
+    inside = few.box[np.isfinite(few.box)]
+    assert inside.size == 4 + 2 * 4 and (inside >= 0).all() and (inside <= 1).all()
+    np.testing.assert_array_equal(few.box[5:], more.box[10:14])
+    assert not np.isin(other.box[np.isfinite(other.box)], inside).any()
 
 
 def test_derived_study_runs_all_variants_per_search_point() -> None:
@@ -73,7 +69,7 @@ def test_derived_study_runs_all_variants_per_search_point() -> None:
                 {"case": "far", "phi_e0_deg": 3.0, "phi_u0_deg": 50.0},
             ],
             "axes": {"p0_yaw_deg": [40.0, 80.0], "cases": {"q_accel_ug": [1.0, 2.0]}},
-            "study": {"curves": True},
+            "study": {"curves": True, "seed": 2**63 - 1},
         },
         evaluation_draws=5,
     )
@@ -87,14 +83,7 @@ def test_derived_study_runs_all_variants_per_search_point() -> None:
     pairs = {*zip(derived.values("phi_e0_deg"), derived.values("phi_u0_deg"), strict=True)}
     assert pairs == {(0.0, 5.0), (3.0, 50.0)}
     evaluated = search.derive_study(study, points, name="derived", evaluation=True)
-    assert (evaluated.n_draws, evaluated.study.seed) == (5, study.seed + 1)
-
-
-def test_cases_with_labels_only_add_no_zipped_axis() -> None:
-    changes = {"cases": [{"case": "only"}]}
-    study = tuned({"reset_times_s": TIMES}, changes=changes)
-    derived = search.derive_study(study, {"a": {"reset_times_s": ()}}, name="derived")
-    assert (derived.cases, derived.zips) == (({"case": "a", "reset_times_s": ()},), {})
+    assert (evaluated.n_draws, evaluated.study.seed) == (5, 0)  # the next, after the largest
 
 
 def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
@@ -111,14 +100,6 @@ def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
             study, {"a": {"p0_yaw_deg": 1.0}}, name="x", evaluation=evaluation
         )
         assert derived.record is not None and derived.record.start_s == starts
-
-
-def test_evaluation_seed_wraps_after_largest_seed() -> None:
-    study = tuned({"p0_yaw_deg": YAW}, changes={"study": {"seed": 2**63 - 1}})
-    assert (
-        search.derive_study(study, {"a": {"p0_yaw_deg": 1.0}}, name="x", evaluation=True).study.seed
-        == 0
-    )
 
 
 def test_cost_counts_steps_of_all_runs() -> None:
@@ -206,27 +187,17 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
         for a, b in zip(written.evaluations, read.evaluations, strict=True):
             np.testing.assert_array_equal(a.values, b.values)
             assert a._replace(values=[]) == b._replace(values=[])
-    assert [path.name for path in tmp_path.iterdir()] == ["history.parquet"]
     table = sinsjax.read_history(tmp_path)
-    assert table.column_names == [column.name for column in history.history_columns(space)]
     assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
     assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
-    assert table.schema.field("window_s").metadata[b"unit"] == b"s"
-    assert table.schema.field("reset_times_s[0]").metadata[b"unit"] == b"s"
+    for name in ("window_s", "reset_times_s[0]"):
+        assert table.schema.field(name).metadata[b"unit"] == b"s"
     other_space = SearchSpace.from_study(tuned({"p0_yaw_deg": YAW}))
     with pytest.raises(InputError, match=r"history\.parquet: .*p0_yaw_deg"):
         history.read_searches(tmp_path, other_space)
     (tmp_path / "history.parquet").write_text("no table")
     with pytest.raises(InputError, match=r"history\.parquet: "):
         history.read_searches(tmp_path, space)
-
-
-def test_settings_that_only_1_0_read_are_ignored() -> None:
-    """Version 1.0 wrote them into every stored tuning."""
-    study = tuned({"p0_yaw_deg": YAW})
-    tables = study.to_dict()
-    tables["tune"] |= {"evolution_screen": 64, "evolution_steps": 12, "feedback_phases": 4}
-    assert study_from_dict(tables, study.name) == study
 
 
 def test_only_unrelaxed_evaluations_can_be_best() -> None:
@@ -251,22 +222,16 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
     session = SearchSession(
         Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
     )
-    design = search.grid_design(SearchSpace.from_study(study), 3)
+    design = search.grid_design(study, 3)
     found = search.evaluate_design(study, "grid", design, session)
     places = [1.0, 2.0, 3.0]
-    pairs = [(a, b) for a in places for b in places]
-    assert [tuple(e.values) for e in found.evaluations] == pairs
+    assert [tuple(e.values) for e in found.evaluations] == list(product(places, places))
     assert [e.cost // (2 * 2 * 120) for e in found.evaluations] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
-    table = read_summary(tmp_path / "grid")
-    assert sorted(set(table["case"].to_pylist())) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
+    rows = read_summary(tmp_path / "grid").to_pylist()
+    assert sorted({row["case"] for row in rows}) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
     for e in found.evaluations:
-        times = sorted({*e.values})
-        rows = [row for row in table.to_pylist() if row["reset_times_s"] == times]
-        assert len(rows) == 4
-        squares: dict[float, list[float]] = {5.0: [], 30.0: []}
-        for row in rows:
-            squares[row["phi_u0_deg"]].append((row["phi_u_arcmin"] - row["floor_arcmin"]) ** 2)
-        expected = np.mean([np.mean(values) ** 0.5 for values in squares.values()])
+        own = [row for row in rows if row["reset_times_s"] == sorted({*e.values})]
+        errors = np.array([row["phi_u_arcmin"] - row["floor_arcmin"] for row in own])
+        expected = np.sqrt(np.mean(errors.reshape(2, 2) ** 2, axis=0)).mean()
         assert e.objective == pytest.approx(expected)
-    assert found.best.objective == min(e.objective for e in found.evaluations)
     assert len({e.objective for e in found.evaluations}) == 6

@@ -31,25 +31,14 @@ def initial_belief(variances: Sequence[Scalar]) -> Belief:
     return Belief(tuple(0.0 * v for v in variances), algebra.diagonal_triangle(variances))
 
 
-def predict(belief: Belief, transition: Entries, q: Sequence[Scalar]) -> Belief:
-    """Predict over one step, [P1] eqs (8) and (9).
-
-    Args:
-        belief: mean and covariance of n states.
-        transition: non-zero entries of Phi - I = A dt.
-        q: n diagonal entries of the discrete process noise.
-    """
-    return add_noise(propagate(belief, transition), q)
-
-
 def propagate(belief: Belief, transition: Entries) -> Belief:
-    """Predict over one step without process noise."""
+    """Predict over one step without process noise, [P1] eqs (8) and (9), by Phi - I = A dt."""
     p = algebra.congruence(transition, belief.p, len(belief.x))
     return Belief(algebra.times_plus_identity(transition, belief.x), p)
 
 
 def add_noise(belief: Belief, q: Sequence[Scalar]) -> Belief:
-    """Add the process noise of one step."""
+    """Add the process noise of one step, given the diagonal of its covariance."""
     p, at = list(belief.p), triangle_index(len(belief.x))
     for i in range(len(belief.x)):
         p[at[i, i]] = p[at[i, i]] + q[i]

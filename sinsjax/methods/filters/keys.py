@@ -1,9 +1,10 @@
 """The keys of filters that measure zero velocity: [filter] and [resets], their rules and columns.
 
-P0, Q and R; resets of P, by a schedule or a trigger. `params` makes numbers of them.
+P0, Q and R of each kind of state; resets of P, by a schedule or a trigger. `params` makes numbers
+of them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Annotated, Any, Literal, NamedTuple
@@ -15,17 +16,13 @@ from pydantic import Field
 
 from sinsjax import value_types as vt
 from sinsjax.columns import column
-from sinsjax.methods.filters.loop import Filter, closed_loop
-from sinsjax.methods.method import Method, Options, OwnColumn, StudyKeys
+from sinsjax.methods.method import Method, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
-from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
+from sinsjax.units import si_factor
 from sinsjax.value_types import ROUNDING, KeyCondition, Section, field, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
-
-_SQRT_H = DEG_PER_SQRT_H / DEG_PER_H
-"""One deg/sqrt(h), in deg/h/sqrt(Hz): 60."""
 
 
 class FilterSection(Section):
@@ -90,50 +87,27 @@ def q_unit_factors(dt: float) -> dict[str, float]:
     return {"per_step": 1.0, "psd": dt, "per_sample": dt * dt}
 
 
-def accel_noise_density(
-    rate_hz: float, accel_noise_ug: Any, accel_vrw_ug_per_sqrt_hz: Any
-) -> float | None:
-    """Return the density of the noisiest accelerometer's white noise, ug/sqrt(Hz).
-
-    None if the study gives neither the noise of a sample nor a density, or draws them.
-    """
-    return _noise_density(rate_hz, accel_noise_ug, accel_vrw_ug_per_sqrt_hz, 1.0)
-
-
-def gyro_noise_density(
-    rate_hz: float, gyro_noise_deg_per_h: Any, gyro_arw_deg_per_sqrt_h: Any
-) -> float | None:
-    """Return the density of the noisiest gyro's white noise, deg/h/sqrt(Hz); see above."""
-    return _noise_density(rate_hz, gyro_noise_deg_per_h, gyro_arw_deg_per_sqrt_h, _SQRT_H)
-
-
-def _noise_density(rate_hz: float, per_sample: Any, density: Any, factor: float) -> float | None:
-    noise = per_sample if density is None else density
-    if noise is None:
-        return None
-    noisiest = max(noise) if isinstance(noise, tuple) else noise
-    return noisiest / rate_hz**0.5 if density is None else noisiest * factor
-
-
 class ProcessNoise(NamedTuple):
-    """A quantity of Q, by the key of its first form, and the sensors whose white noise it is.
+    """A quantity of Q, and the sensors whose white noise it is.
 
-    ``density`` is that noise in the unit of ``key`` under 'psd': a function of samples per second
-    and keys of [sensors].
+    Attributes:
+        key: key of its first form.
+        sensors: in words.
+        white: keys of their noise in [sensors], as that of a sample and as a density.
     """
 
     key: str
     sensors: str
-    density: Callable[..., float | None]
+    white: tuple[str, str]
 
     @property
     def forms(self) -> Mapping[str, float]:
         """Its keys, with their factors to the unit of the first."""
         return FilterSection.alternatives(self.key)
 
-    def white(self, rate_hz: float, values: Mapping[str, Any]) -> float:
+    def white_density(self, rate_hz: float, values: Mapping[str, Any]) -> float:
         """Return the density of the sensors' white noise, 0 for none or if it is drawn."""
-        return self.density(rate_hz, *(values[key] for key in keys_of(self.density))) or 0.0
+        return self.density(rate_hz, *(values[key] for key in self.white)) or 0.0
 
     def q(self, rate_hz: float, values: Mapping[str, Any]) -> float:
         """Return the density of the noise that Q states, by default the sensors' own, squared."""
@@ -142,11 +116,57 @@ class ProcessNoise(NamedTuple):
             if values[form] is not None:
                 per_step = q_unit_factors(1 / rate_hz)[values["q_reading"]]
                 return (values[form] * factor) ** 2 * per_step * rate_hz * scale
-        return self.white(rate_hz, values) ** 2 * scale
+        return self.white_density(rate_hz, values) ** 2 * scale
+
+    def density(self, rate_hz: float, per_sample: Any, density: Any) -> float | None:
+        """Return the density of the noisiest sensor, in the unit of ``key`` under 'psd'.
+
+        None if the study gives neither of the values of ``white``, or draws them.
+        """
+        noise = per_sample if density is None else density
+        if noise is None:
+            return None
+        noisiest = max(noise) if isinstance(noise, tuple) else noise
+        if density is None:
+            return noisiest / rate_hz**0.5
+        return noisiest * (si_factor(self.white[1]) / si_factor(self.key))
 
 
-ACCEL_NOISE = ProcessNoise("q_accel_ug", "accelerometers", accel_noise_density)
-GYRO_NOISE = ProcessNoise("q_gyro_deg_per_h", "gyros", gyro_noise_density)
+ACCEL_NOISE = ProcessNoise(
+    "q_accel_ug", "accelerometers", ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz")
+)
+GYRO_NOISE = ProcessNoise(
+    "q_gyro_deg_per_h", "gyros", ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h")
+)
+
+
+class StateKind(NamedTuple):
+    """A kind of filter state.
+
+    Attributes:
+        name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
+            reset; None if ``variance`` gives both.
+        q: its process noise; None of a constant state.
+        sign: factor on it when time is reversed.
+        is_heading: whether it is a state of heading.
+    """
+
+    name: str | None
+    q: ProcessNoise | None
+    variance: float = 0.0
+    sign: float = 1.0
+    is_heading: bool = False
+
+
+VELOCITY = StateKind("velocity_m_per_s", ACCEL_NOISE, sign=-1.0)
+LEVEL = StateKind("level_deg", GYRO_NOISE)
+HEADING = StateKind("yaw_deg", GYRO_NOISE, is_heading=True)
+DIRECTION = StateKind(None, GYRO_NOISE, variance=0.5, is_heading=True)
+"""Sine or cosine of an unknown heading: all headings are equally likely."""
+ACCEL_BIAS = StateKind("accel_bias_ug", None)
+GYRO_BIAS = StateKind("gyro_bias_deg_per_h", None, sign=-1.0)
+FIVE_STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, HEADING)
+"""Those of [P1] eq. (1)."""
 
 
 def level_surge(surge: Any) -> float:
@@ -440,7 +460,9 @@ def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
     return number if which == "count" else np.where(number > 0, number / rate_hz, np.nan)
 
 
-_is_recorded = attrgetter("is_recorded")  # a simulation has the truth to be judged by
+def _mean_nis(results: Any, rate_hz: float) -> NDArray:
+    return np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
+
 
 FILTER_COLUMNS = (
     OwnColumn(
@@ -451,33 +473,30 @@ FILTER_COLUMNS = (
     ),
     *(
         OwnColumn(
-            column(f"triggered_{which}_s", meaning),
+            column(f"triggered_{which}_s", f"time of the {which} of them; null for none"),
             partial(_triggered, which),
             applies_to=any_trigger,
         )
-        for which, meaning in (
-            ("first", "time of the first of them; null for none"),
-            ("last", "time of the last of them; null for none"),
+        for which in ("first", "last")
+    ),
+    *(
+        OwnColumn(column(name, meaning), value, applies_to=attrgetter("is_recorded"))
+        for name, meaning, value in (
+            (
+                "innovation_nis",
+                "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
+                _mean_nis,
+            ),
+            (
+                "innovation_freedom",
+                "degrees of freedom of their sum: 2 an update",
+                lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
+            ),
         )
     ),
-    OwnColumn(
-        column(
-            "innovation_nis",
-            "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
-        ),
-        lambda results, rate_hz: (
-            np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
-        ),
-        applies_to=_is_recorded,
-    ),
-    OwnColumn(
-        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
-        lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
-        applies_to=_is_recorded,
-    ),
 )
-"""Columns of triggers, and of innovations in a recorded study; an innovation_nis of 2 is expected
-of a consistent filter."""
+"""Columns of triggers, and of innovations in a recorded study (a simulation has the truth to be
+judged by); an innovation_nis of 2 is expected of a consistent filter."""
 
 
 def last_triggered_sample(results: Any) -> NDArray | None:
@@ -491,25 +510,6 @@ BIAS_KEYS = (
     *("reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
 )
 """The keys of sensor bias states: without effect on a filter that has none."""
-
-LOOP_KEYS = (
-    *("feedback_interval_s", "feedback_time_constant_s"),
-    *("turn_covariance", "turn_inflation"),
-)
-"""The keys of [alignment] and [passes] that act on every filter."""
-
-
-def filter_method(*, build: Callable[[Options], Filter], **parts: Any) -> Method:
-    """Return the method of a filter in closed loop, by default one without sensor bias states."""
-    usual = {
-        "sections": {"filter": FilterSection, "resets": ResetsSection},
-        "reads": LOOP_KEYS,
-        "without_effect": BIAS_KEYS,
-        "turning": "none",
-        "rules": (check_resets,),
-        "columns": FILTER_COLUMNS,
-    }
-    return Method(build=lambda options: closed_loop(build(options), options), **usual | parts)
 
 
 def estimates_biases(method: Method) -> bool:

@@ -21,6 +21,7 @@ from sinsjax.methods.filters.attitude import (
     misalignment_covariance,
 )
 from sinsjax.methods.filters.kalman import Belief, Innovation
+from sinsjax.methods.filters.keys import StateKind
 from sinsjax.methods.method import AttitudeCovariance, Feedback, Options, Passes, Program, Site
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
@@ -67,7 +68,7 @@ class FilterParams(NamedTuple):
     q: tuple[Scalar, ...]
     r: Scalar
     feedback: schedules.FeedbackSchedule
-    resets: schedules.Resets | schedules.Windows
+    resets: schedules.Resets
     reset_to: tuple[Scalar, ...]
     reversal: schedules.CovarianceReset
     trigger: Any = None
@@ -157,14 +158,14 @@ class Filter(NamedTuple):
 
     Attributes:
         transition: (state, place, f dt in n, m/s) -> non-zero entries of A dt.
-        reverse: state -> state with which the record is read in the other direction.
-        heading: numbers of the states of heading.
         predict: (params, state, place, f dt) -> state with its belief propagated over a sample; the
             solution is still that before it, and the process noise is added later. None for a
             prediction by ``transition``.
         feed_back: (state, share) -> state with that share of its estimate moved into the
             navigation solution, and the correction of its attitude, rad.
         init: (params, navigation) -> state.
+        reverse: (sign of each estimate, state) -> state with which the record is read in the other
+            direction.
         update: (params, state) -> state after the update with the velocity, and the `Innovation`.
         misalignment: state -> estimated misalignment that is not fed back yet, rad.
         attitude: state -> best attitude.
@@ -178,11 +179,10 @@ class Filter(NamedTuple):
     """
 
     transition: Callable[[Any, Place, Vec3], Entries]
-    reverse: Callable[[Any], Any]
-    heading: tuple[int, ...]
     predict: Callable[[Any, Any, Place, Vec3], Any] | None = None
     feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]] = feed_back
     init: Callable[[Any, Navigation], Any] = initial_state
+    reverse: Callable[[Sequence[float], Any], Any] = reverse_time
     update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
     misalignment: Callable[[Any], Vec3] = estimated_misalignment
     attitude: Callable[[Any], Quat] = corrected_attitude
@@ -194,10 +194,10 @@ class Filter(NamedTuple):
     gyro_bias: Callable[[Any], Vec3] | None = None
 
 
-def closed_loop(filter_: Filter, options: Options) -> Program:
+def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) -> Program:
     """Return the program of a filter that feeds back and resets P on schedule or by a trigger."""
     trigger = None if options.trigger == "none" else triggers.TRIGGERS[options.trigger]
-    loop = _ClosedLoop(filter_, options, trigger)
+    loop = _ClosedLoop((*states,), filter_, options, trigger)
     return Program(
         init=loop.init,
         step=loop.step,
@@ -213,9 +213,15 @@ def closed_loop(filter_: Filter, options: Options) -> Program:
 class _ClosedLoop(NamedTuple):
     """A filter in closed loop, and the trigger that resets it in addition to the schedule."""
 
+    states: tuple[StateKind, ...]
     filter: Filter
     options: Options
     trigger: triggers.Trigger | None
+
+    @property
+    def heading(self) -> list[int]:
+        """Numbers of the states of heading."""
+        return [number for number, kind in enumerate(self.states) if kind.is_heading]
 
     def init(self, params: Any, nav: Navigation) -> Any:
         state = self.filter.init(params, nav)
@@ -272,25 +278,23 @@ class _ClosedLoop(NamedTuple):
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
         closed, fed_back = self.filter.feed_back(state, share)
-        effect, heading = params.resets.covariance_reset, self.filter.heading
-        effect = schedules.reset_if_due(resets, effect)
-        p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, heading)
+        effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
+        p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
             belief=closed.belief._replace(p=p),
             feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
         if self.trigger is not None:
             closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
-        if isinstance(params.resets, schedules.Windows):
+        if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
         return select_tree(feeds_back | resets, closed, state)
 
     def reverse(self, params: Any, site: Site, state: Any) -> Any:
         # x stays even if P is reset: its part of the attitude is the filter's best either way.
-        state = self.filter.reverse(state)
-        p, heading = state.belief.p, self.filter.heading
-        p = schedules.reset_covariance(params.reversal, p, params.p0, heading)
+        state = self.filter.reverse([kind.sign for kind in self.states], state)
+        p = schedules.reset_covariance(params.reversal, state.belief.p, params.p0, self.heading)
         state = state._replace(belief=state.belief._replace(p=p))
         return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
 
@@ -310,7 +314,7 @@ class _ClosedLoop(NamedTuple):
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
-    if isinstance(params.resets, schedules.Windows):
+    if params.resets.width is not None:
         return None  # a share of a reset is due at every sample
     return schedules.next_due(state.feedback_at, params.resets, n)
 

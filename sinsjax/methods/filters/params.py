@@ -1,43 +1,53 @@
-"""The params of a filter from [filter], [resets], [alignment] and [passes]."""
+"""A filter as a method, and its params from [filter], [resets], [alignment] and [passes]."""
 
-from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sinsjax.methods.filters import keys as filter_keys
-from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, ProcessNoise
-from sinsjax.methods.filters.loop import FilterParams
+from sinsjax.methods.filters.keys import (
+    ACCEL_NOISE,
+    BIAS_KEYS,
+    FILTER_COLUMNS,
+    GYRO_NOISE,
+    FilterSection,
+    ProcessNoise,
+    ResetsSection,
+    StateKind,
+    check_resets,
+)
+from sinsjax.methods.filters.loop import Filter, FilterParams, closed_loop
 from sinsjax.methods.filters.triggers import TriggerParams
-from sinsjax.methods.method import StudyKeys
+from sinsjax.methods.method import Method, Options, StudyKeys
 from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets
-from sinsjax.units import DEG, STANDARD_GRAVITY, si_factor
+from sinsjax.units import si_factor
 from sinsjax.value_types import keys_of
 
-
-class StateKind(NamedTuple):
-    """What [filter] and [resets] say of one kind of state.
-
-    Attributes:
-        name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
-            reset; None if ``variance`` gives both.
-        q: its process noise; None of a constant state.
-    """
-
-    name: str | None
-    q: ProcessNoise | None
-    variance: float = 0.0
+LOOP_KEYS = (
+    *("feedback_interval_s", "feedback_time_constant_s"),
+    *("turn_covariance", "turn_inflation"),
+)
+"""The keys of [alignment] and [passes] that act on every filter."""
 
 
-VELOCITY = StateKind("velocity_m_per_s", ACCEL_NOISE)
-LEVEL = StateKind("level_deg", GYRO_NOISE)
-HEADING = StateKind("yaw_deg", GYRO_NOISE)
-DIRECTION = StateKind(None, GYRO_NOISE, variance=0.5)
-"""Sine or cosine of an unknown heading: all headings are equally likely."""
-ACCEL_BIAS = StateKind("accel_bias_ug", None)
-GYRO_BIAS = StateKind("gyro_bias_deg_per_h", None)
+def filter_method(
+    states: Sequence[StateKind], build: Callable[[Options], Filter], **parts: Any
+) -> Method:
+    """Return the method of a filter in closed loop, by default one without sensor bias states."""
+    usual: dict[str, Any] = {
+        "params": partial(filter_params, states),
+        "sections": {"filter": FilterSection, "resets": ResetsSection},
+        "reads": LOOP_KEYS,
+        "without_effect": BIAS_KEYS,
+        "turning": "none",
+        "rules": (check_resets,),
+        "columns": FILTER_COLUMNS,
+    }
+    return Method(
+        build=lambda options: closed_loop(states, build(options), options), **usual | parts
+    )
 
 
 def filter_params(
@@ -77,34 +87,12 @@ def filter_params(
     )
 
 
-def level_settling_s(
-    rate_hz: float, p0_velocity_m_per_s: float, p0_level_deg: float, r: float
-) -> float:
-    """Return the time in which the standard deviation of level falls to a tenth of its P0, s.
-
-    In that time a level error phi is a slope g phi of the velocity, measured with variance R,
-    (m/s)^2, at each sample. The information on it after n samples is
-    1/p0^2 + S2/R - (S1/R)^2 / (1/p_v^2 + n/R), with S1 and S2 the sums of g t and (g t)^2: from a
-    large p_v it grows as g^2 t^3 / (12 R dt). Q is left out, since its effect comes later.
-    """
-    dt = 1 / rate_hz
-    step = STANDARD_GRAVITY * dt
-    information_at_start = (p0_level_deg * DEG) ** -2
-
-    def information(n: int) -> float:
-        s1, s2 = step * n * (n + 1) / 2, step**2 * n * (n + 1) * (2 * n + 1) / 6
-        return information_at_start + s2 / r - (s1 / r) ** 2 / (p0_velocity_m_per_s**-2 + n / r)
-
-    longest = range(1, 10**8)
-    return (1 + bisect_left(longest, 100 * information_at_start, key=information)) * dt
-
-
 def _process_noise(keys: StudyKeys, noise: ProcessNoise) -> Any:
     """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
     readings = filter_keys.q_unit_factors(1 / keys.rate_hz)
     given = next((form for form in noise.forms if keys.common(form) is not None), None)
     if given is None:
-        white = keys.compute(partial(noise.density, keys.rate_hz), *keys_of(noise.density))
+        white = keys.compute(partial(noise.density, keys.rate_hz), *noise.white)
         return (white * si_factor(noise.key, keys.micro_g)) ** 2 * readings["psd"]
     reading = keys.compute(readings.__getitem__, "q_reading")
     return keys.si(given) ** 2 * reading

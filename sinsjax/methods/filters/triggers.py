@@ -227,7 +227,7 @@ def _score_linearisation(
         return jnp.minimum(1.0, (level.x**2 + level.y**2) / _SMALL_LEVEL**2)
 
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
-    honest = kalman.predict(Belief(zeros, p), snapshot.at_rest, params.q)
+    honest = kalman.add_noise(kalman.propagate(Belief(zeros, p), snapshot.at_rest), params.q)
     honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu

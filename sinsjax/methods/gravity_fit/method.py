@@ -19,7 +19,7 @@ from sinsjax.columns import column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
-from sinsjax.methods.filters.keys import accel_noise_density, gyro_noise_density, level_surge
+from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
 from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
@@ -33,7 +33,6 @@ from sinsjax.value_types import (
     NonNegative,
     Section,
     field,
-    keys_of,
 )
 
 BLOCK_S, LONGEST_BLOCK_S = 1.0, 2.0
@@ -195,10 +194,10 @@ class GravityFitSection(Section):
 
 
 _NOISE = {
-    "fit_gyro_arw_deg_per_sqrt_h": gyro_noise_density,
-    "fit_accel_vrw_ug_per_sqrt_hz": accel_noise_density,
+    "fit_gyro_arw_deg_per_sqrt_h": GYRO_NOISE,
+    "fit_accel_vrw_ug_per_sqrt_hz": ACCEL_NOISE,
 }
-"""The keys of white noise, and the density of the sensors' own."""
+"""The keys of white noise, and the sensors' own."""
 
 
 def params(keys: method.StudyKeys, xp: Any) -> FitParams:
@@ -217,10 +216,10 @@ def params(keys: method.StudyKeys, xp: Any) -> FitParams:
         return given_or(size(key), f"fit_{key}")
 
     def white(key: str) -> Any:
-        density = _NOISE[key]
-        own = keys.compute(partial(density, keys.rate_hz), *keys_of(density)) if simulated else zero
-        per_sample = keys_of(density)[0]  # in the unit of the density but for sqrt(Hz)
-        return given_or(own * si_factor(per_sample, keys.micro_g), key)
+        noise, own = _NOISE[key], zero
+        if simulated:
+            own = keys.compute(partial(noise.density, keys.rate_hz), *noise.white)
+        return given_or(own * si_factor(noise.key, keys.micro_g), key)
 
     def drifts(sensor: str, unit: str) -> tuple[Drift, ...]:
         variance = size(f"{sensor}_instability_{unit}") ** 2
@@ -259,57 +258,54 @@ def _is_given(sigma: Any) -> bool:
     return not isinstance(sigma, np.ndarray) or bool(sigma.any())
 
 
-def _column(
-    name: str, meaning: str, value: Callable[[Solution], Any] | None = None
-) -> method.OwnColumn:
-    read = value or attrgetter(name)
+def _column(name: str, meaning: str, read: Callable[[Solution], Any]) -> method.OwnColumn:
     return method.OwnColumn(
         column(f"fit_{name}", meaning), lambda results, rate_hz: np.asarray(read(results))
     )
 
 
-def _bias_column(axis: int, name: str) -> method.OwnColumn:
-    return _column(
-        f"gyro_bias_{name}_deg_per_h",
-        f"gyro bias of the {name} axis by the fit",
-        lambda found: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
-    )
+def _bias_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
 
 
-def _bias_sigma_column(axis: int, name: str) -> method.OwnColumn:
-    return _column(
-        f"gyro_bias_{name}_sigma_deg_per_h",
-        "1 sigma of it",
-        lambda found: np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H,
-    )
+def _bias_sigma_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
 
 
-_AXES = tuple(enumerate(("right", "front", "up")))
 COLUMNS = (
     _column(
         "misfit",
         "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
         " doubt",
+        attrgetter("misfit"),
     ),
     _column(
         "prior_ratio",
         "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
         " more than 3 is a doubt",
+        attrgetter("prior_ratio"),
     ),
     _column(
         "change",
         "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
         " fit has not converged",
+        attrgetter("change"),
     ),
-    *(_bias_column(*axis) for axis in _AXES),
-    *(_bias_sigma_column(*axis) for axis in _AXES),
+    *(
+        _column(f"gyro_bias_{name}{suffix}_deg_per_h", meaning.format(name), partial(read, axis))
+        for suffix, meaning, read in (
+            ("", "gyro bias of the {} axis by the fit", _bias_deg_per_h),
+            ("_sigma", "1 sigma of it", _bias_sigma_deg_per_h),
+        )
+        for axis, name in enumerate(("right", "front", "up"))
+    ),
 )
 
 
 def _check(study: method.StudyKeys) -> None:
     """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
     required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
-    simulated = (*_NOISE, *(key for density in _NOISE.values() for key in keys_of(density)))
+    simulated = (*_NOISE, *(key for noise in _NOISE.values() for key in noise.white))
     for point in study.combinations("method", *(required if study.is_recorded else simulated)):
         if point["method"] != "gravity_fit":
             continue
@@ -319,11 +315,11 @@ def _check(study: method.StudyKeys) -> None:
         for key in required if study.is_recorded else ():
             if point[key] is None:
                 study.refuse(key, "required with a record (from the sensors' data sheet)")
-        for key, density in _NOISE.items():
-            noise = point[key]
-            if noise is None:
-                noise = density(study.rate_hz, *(point[name] for name in keys_of(density)))
-            if not noise:
+        for key, noise in _NOISE.items():
+            density = point[key]
+            if density is None:
+                density = noise.density(study.rate_hz, *(point[name] for name in noise.white))
+            if not density:
                 text = "must be above 0: gravity_fit weights its data by the noise"
                 study.refuse(key, f"{text} (give it, or white noise in [sensors])")
 
