@@ -15,17 +15,13 @@ KEYS: dict[str, str] = {
 }
 """Keys of studies, by ``section.key``."""
 
+_TRIGGERS = ("nis", "whiteness", "tilt_drift", "levelled", "strong_tracking", "fading")
 _TRIGGER = "use 'linearisation', or the textbook's test 'innovation'"
 
 VALUES: dict[tuple[str, str], str] = {
     ("study.estimate", "covariance"): "drop it to run draws; a lower bound of the heading error"
     " is `sinsjax.information_bound`",
-    ("resets.reset_trigger", "nis"): _TRIGGER,
-    ("resets.reset_trigger", "whiteness"): _TRIGGER,
-    ("resets.reset_trigger", "tilt_drift"): _TRIGGER,
-    ("resets.reset_trigger", "levelled"): _TRIGGER,
-    ("resets.reset_trigger", "strong_tracking"): _TRIGGER,
-    ("resets.reset_trigger", "fading"): _TRIGGER,
+    **dict.fromkeys((("resets.reset_trigger", name) for name in _TRIGGERS), _TRIGGER),
     ("tune.searches", "random"): "use 'sobol'",
     ("tune.searches", "covariance"): "use 'gradient' or 'sobol'",
 }

@@ -3,19 +3,15 @@
 import hashlib
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.records.reference import Reference, read_reference
-from sinsjax.study.schema import TURN_KEYS, EarthSection, MotionSection
+from sinsjax.study.schema import EarthSection, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.study.turns import data_end_s
 
-_ANGLE_KEYS = tuple(
-    key for key in MotionSection.model_fields if key.endswith(("_center_deg", "_amplitude_deg"))
-)
 _LONGEST_STEP = 5.0
 """Longest step of time without a gap, in medians of all steps."""
 _LEAST_MOTION_DEG = 0.5
@@ -79,17 +75,9 @@ def _digest(name: str, time_ns: int, size: int) -> str:
     return hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
 
 
-def refuse_other_angles(study: Study) -> None:
-    """Refuse angles, turns and drawn motion together with a file of the attitude."""
-    if attitude_file(study) is None:
-        return
-    fields: dict[str, Any] = MotionSection.model_fields
-    for key in (*_ANGLE_KEYS, *TURN_KEYS):
-        points = study.combinations(key)
-        if key in study.drawn_keys or any(point[key] != fields[key].default for point in points):
-            text = "conflicts with attitude_file in [motion], which gives all angles"
-            study.refuse(key, f"{text} (drop one of them)")
-    for key in study.drawn_keys:
-        if key in EarthSection.model_fields or key in fields:
+def refuse_drawn_motion(study: Study) -> None:
+    """Refuse a drawn place or motion together with a file of the attitude."""
+    for key in study.drawn_keys if attitude_file(study) else ():
+        if key in EarthSection.model_fields or key in MotionSection.model_fields:
             text = "cannot be drawn with attitude_file in [motion]"
             study.refuse(key, f"{text} (give it one value, or sweep it)")

@@ -27,7 +27,7 @@ from sinsjax.methods.filters.keys import (
 )
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.study import sampling, search_space, success
-from sinsjax.study.attitude_file import refuse_other_angles
+from sinsjax.study.attitude_file import refuse_drawn_motion
 from sinsjax.study.filter_noise import NOISE_RULES
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -434,7 +434,7 @@ _PRESENCE = (
     _check_idle_keys,
     _check_filter_noise,
     _check_trigger,
-    refuse_other_angles,
+    refuse_drawn_motion,
 )
 _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
 _VALUES = (_check_plausible_values, _check_drawn_values)

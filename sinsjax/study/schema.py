@@ -172,6 +172,7 @@ TURN_KEYS = (
 
 
 _AMPLITUDES = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg")
+_CENTERS = ("pitch_center_deg", "roll_center_deg", "yaw_center_deg")
 
 
 def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
@@ -190,6 +191,9 @@ class MotionSection(Section):
         KeyCondition(("pitch_period_s", "pitch_phase_deg"), _AMPLITUDES[:1], _any_nonzero),
         KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
         KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
+        KeyCondition(
+            (*TURN_KEYS, *_AMPLITUDES, *_CENTERS), ("attitude_file",), lambda file: not file, True
+        ),
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool, refused=True),
         KeyCondition(
             ("lever_arm_m",),

@@ -91,7 +91,7 @@ motion = {turn_times_s = [1.0, 901.0], turn_angles_deg = 30.0}    -> [motion] tu
 motion = {turn_times_s = [1.0], turn_rate_deg_per_s = 900.0}
     -> [motion] turn_rate_deg_per_s: 900 572.9 100
 motion = {turn_times_s = [1.0], turn_angles_deg = [1.0, 2.0]}      -> [motion] turn_angles_deg: 2 1
-motion = {attitude_file = "a.csv"}           -> [motion] yaw_center_deg: attitude_file [motion]
+motion = {attitude_file = "a.csv"}           -> [motion] yaw_center_deg: attitude_file
 axes.attitude_file = ["a.csv", "b.csv"]      -> [axes] attitude_file: swept
 """)
 def test_simulated_study_is_refused(refusal):
