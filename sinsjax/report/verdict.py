@@ -304,7 +304,7 @@ def _settling_sentence(outcome: SweepOutcome) -> str:
     runs, axes = "every run", outcome.choices.condition_axes
     if len(axes) == 1 and len(axes[0]) == 1:
         values = [value for (value,) in outcome.choices.conditions_by_point(axes[0])]
-        if all(isinstance(value, int | float) for value in values):
+        if len(values) > 1 and all(isinstance(value, int | float) for value in values):
             name, unit = condition_name_and_unit(axes[0][0])
             runs = f"every {name} from {min(values):g} to {max(values):g} {unit}".rstrip()
     return f"{runs} settles, after {time} on average"
