@@ -60,8 +60,9 @@ if TYPE_CHECKING:
     from sinsjax.study.load import load_study, study_from_dict
     from sinsjax.study.reset_plan import ResetPlan, reset_schedule
     from sinsjax.study.study import Study
-    from sinsjax.tuning.from_python import TuningResults, tune
+    from sinsjax.tuning.from_python import tune
     from sinsjax.tuning.history import read_history
+    from sinsjax.tuning.results import TuningResults
 
 __version__ = runtime.package_version()
 
@@ -96,8 +97,9 @@ _HOMES = {
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
     "study.reset_plan": ("ResetPlan", "reset_schedule"),
-    "tuning.from_python": ("TuningResults", "tune"),
+    "tuning.from_python": ("tune",),
     "tuning.history": ("read_history",),
+    "tuning.results": ("TuningResults",),
 }
 
 

@@ -80,10 +80,10 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, 
     source: Results
     if is_tuning(directory):
         from sinsjax.report import tuning  # late: it needs JAX
-        from sinsjax.tuning.results import Tuning
+        from sinsjax.tuning.results import TuningResults
 
-        source = tuned = Tuning.read(directory)
-        report = tuning.build_report(tuned)
+        tuned = TuningResults(directory)
+        source, report = tuned.evaluation, tuning.build_report(tuned)
     else:
         source = Results.read(directory, whole_draws=True)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)

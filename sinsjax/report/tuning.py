@@ -17,14 +17,14 @@ from sinsjax.study.search_space import Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.results import SEARCH_LABELS, Tuning, describe_objective
+from sinsjax.tuning.results import SEARCH_LABELS, TuningResults, describe_objective
 from sinsjax.tuning.run_tuning import GRADIENT, LAW
 
 DOUBLE_RESET_S = 1.0
 """Resets closer than this are printed as a double reset, s."""
 
 
-def build_report(tuning: Tuning) -> Report:
+def build_report(tuning: TuningResults) -> Report:
     """Return the candidates on the unused draws, and how the searches found them."""
     study, variants = tuning.search_study, tuning.run_values.shape[1]
     *others, last = (SEARCH_LABELS.get(name, name) for name in tuning.searches)
@@ -40,25 +40,25 @@ def build_report(tuning: Tuning) -> Report:
     )
 
 
-def _describe_tuning_draws(tuning: Tuning) -> str:
+def _describe_tuning_draws(tuning: TuningResults) -> str:
     """The draws that tuned, in words."""
     if record := tuning.search_study.record:
         return f"{len(record.start_s[::2])} start times"
     return f"{tuning.tune.tune_draws} Monte Carlo runs"
 
 
-def _answer_facts(tuning: Tuning) -> Iterator[Fact]:
+def _answer_facts(tuning: TuningResults) -> Iterator[Fact]:
     """The best point, its gain over the start on unused draws, and why it is in ``tuned.toml``."""
-    study, best, searches = tuning.search_study, tuning.best, tuning.searches
+    study, best, searches = tuning.search_study, tuning.best_search, tuning.searches
     unit = "start time" if study.is_recorded else "draw"
     yield Fact("Best", _describe_candidate(tuning, best))
-    gain = f"{_format(tuning, tuning.score(best))}, {_describe_gain(tuning, 'baseline')}"
+    gain = f"{_format(tuning, tuning.score_of(best))}, {_describe_gain(tuning, 'baseline')}"
     fresh = format_count(tuning.run_values.shape[2], f"unused {unit}")
     yield Fact("Gain", f"{gain} than the start, on {fresh}")
     shares = [tuning.settled_share(name) for name in (best, "baseline")]
     if any(found and found.value < 1 for found in shares):
         ours, start = (format_percent(found) if found else "" for found in shares)
-        lengths_s = np.unique(tuning.study.spans_s[:, 0])
+        lengths_s = np.unique(tuning.evaluation.study.spans_s[:, 0])
         length = f"{lengths_s[0]:g} s" if len(lengths_s) == 1 else "the length of the run"
         text = f"{ours} % of the runs, start {start} %; never counts as {length}"
         yield Fact("Settled", text)
@@ -83,24 +83,24 @@ def _answer_facts(tuning: Tuning) -> Iterator[Fact]:
         yield Fact("Gradient", text)
 
 
-def _describe_gain(tuning: Tuning, other: str) -> str:
+def _describe_gain(tuning: TuningResults, other: str) -> str:
     """The best point less another candidate as a gain: ``3.2 [2.1, 4.3] s better``."""
-    gain = tuning.difference(tuning.best, other)
+    gain = tuning.difference(tuning.best_search, other)
     if gain.value > 0:
         return f"{_format(tuning, gain)} worse"
     size = Estimate(0 - gain.value, 0 - gain.high, 0 - gain.low, gain.n)
     return f"{_format(tuning, size)} better"
 
 
-def _describe_candidate(tuning: Tuning, name: str) -> str:
+def _describe_candidate(tuning: TuningResults, name: str) -> str:
     """The values of a candidate in words."""
-    case = tuning.study.cases[tuning.case_numbers[name]]
+    case = tuning.case(name)
     return ", ".join(
         format_setting(key, _format_value(tuning, name, key)) for key in case if key != "case"
     )
 
 
-def _caution_facts(tuning: Tuning) -> Iterator[Fact]:
+def _caution_facts(tuning: TuningResults) -> Iterator[Fact]:
     """Yield why the best point may mislead."""
     study, texts = tuning.search_study, []
     scores = [
@@ -117,28 +117,28 @@ def _caution_facts(tuning: Tuning) -> Iterator[Fact]:
         )
         from_floor = ", or judge from the bias floor (`judged_from`)" if judged.truth else ""
         texts.append(text + from_floor)
-    elif not study.is_recorded and not tuning.difference(tuning.best, "baseline").high < 0:
+    elif not study.is_recorded and not tuning.difference(tuning.best_search, "baseline").high < 0:
         texts.append("not significantly better than the start")
     if study.is_recorded:
         texts.append("no intervals, since all runs are on one record")
-    on_bounds = tuning.values_on_bounds.get(tuning.best, ())
+    on_bounds = tuning.values_on_bounds.get(tuning.best_search, ())
     if ends := ", ".join(f"{v.name} = {format_value(value)}" for v, value in on_bounds):
         texts.append(f"{ends}: at the end of the range, a better value may lie beyond")
     yield from map(caution, texts)
 
 
-def _summary_table(tuning: Tuning) -> Table:
+def _summary_table(tuning: TuningResults) -> Table:
     """The candidates by their objective."""
     rows = []
-    for name in sorted(tuning.case_numbers, key=lambda name: tuning.score(name).value):
+    for name in sorted(tuning.case_numbers, key=lambda name: tuning.score_of(name).value):
         is_start = name == "baseline"
         difference = "-" if is_start else _format(tuning, tuning.difference(name, "baseline"))
         label = "start" if is_start else SEARCH_LABELS.get(name, name)
-        rows.append([label, _format(tuning, tuning.score(name)), difference])
+        rows.append([label, _format(tuning, tuning.score_of(name)), difference])
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
 
-def _candidate_table(tuning: Tuning) -> Table:
+def _candidate_table(tuning: TuningResults) -> Table:
     """The candidates by their objective, cost and values."""
     rival = tuning.rival
     costs = {name: result.cost for name, result in tuning.searches.items()}
@@ -151,8 +151,10 @@ def _candidate_table(tuning: Tuning) -> Table:
         return _format_percent(costs[name] / costs[rival]) if known else "-"
 
     def tuning_score(name: str) -> str:
-        score = tuning.tuning_score(name)
-        return "-" if score is None else _format(tuning, UNKNOWN._replace(value=score))
+        if name not in tuning.searches:
+            return "-"
+        score = tuning.searches[name].best.objective
+        return _format(tuning, UNKNOWN._replace(value=score))
 
     def settled(name: str) -> str:
         found = tuning.settled_share(name)
@@ -161,7 +163,7 @@ def _candidate_table(tuning: Tuning) -> Table:
     cells: list[tuple[str, Callable[[str], str]]] = [
         (
             describe_objective(tuning.search_study)[0],
-            lambda name: _format(tuning, tuning.score(name)),
+            lambda name: _format(tuning, tuning.score_of(name)),
         ),
         ("on the tuning draws", tuning_score),
         *([("settled (%)", settled)] if tuning.unsettled is not None else []),
@@ -170,7 +172,7 @@ def _candidate_table(tuning: Tuning) -> Table:
         (f"of that of '{rival}'", cost_share),
         *(
             (key, partial(_format_value, tuning, key=key))
-            for key in tuning.study.cases[0]
+            for key in tuning.evaluation.study.cases[0]
             if key != "case"
         ),
     ]
@@ -188,9 +190,9 @@ def _candidate_table(tuning: Tuning) -> Table:
     return build_table("Candidates on the unused draws", ["candidate"], groups, cells, note)
 
 
-def _format_value(tuning: Tuning, name: str, key: str) -> str:
+def _format_value(tuning: TuningResults, name: str, key: str) -> str:
     """Return a candidate's value of a key: bounds are marked, close resets joined."""
-    value = tuning.study.cases[tuning.case_numbers[name]][key]
+    value = tuning.case(name)[key]
     bounds: Sequence[tuple[Variable, float]] = tuning.values_on_bounds.get(name, ())
     ends = [end for v, end in bounds if v.key == key]  # by value, since times were sorted
     numbers: Sequence[Any] = value if isinstance(value, list | tuple) else [value]
@@ -208,7 +210,7 @@ def _format_percent(share: float) -> str:
     return f"{100 * share:,.{0 if share >= 1 else 1}f} %"
 
 
-def _format(tuning: Tuning, estimate: Estimate) -> str:
+def _format(tuning: TuningResults, estimate: Estimate) -> str:
     """An objective as text."""
     digits = {"final_error": 2, "failure_rate": 3}.get(tuning.tune.objective, 1)
     return format_estimate(estimate, describe_objective(tuning.search_study)[1], digits)

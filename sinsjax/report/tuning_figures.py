@@ -8,14 +8,14 @@ from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
-from sinsjax.tuning.results import SEARCH_LABELS, Tuning, objective_label
+from sinsjax.tuning.results import SEARCH_LABELS, TuningResults, objective_label
 from sinsjax.tuning.run_tuning import LAW
 
 
-def landscape_pictures(tuning: Tuning) -> list[Picture]:
+def landscape_pictures(tuning: TuningResults) -> list[Picture]:
     """Return the descents over the points of a search, for the best combination of candidates."""
     space = SearchSpace.from_study(tuning.search_study)
-    number = tuning.searches[tuning.best].best.candidate
+    number = tuning.searches[tuning.best_search].best.candidate
     combination = space.combinations[number]
     used = space.used_variables(combination)
     if not used:
@@ -37,7 +37,7 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     ]
     spots = _best_points(tuning, number, used)
     for other in (name for name in (LAW, "baseline") if name in tuning.case_numbers):
-        case = tuning.study.cases[tuning.case_numbers[other]]
+        case = tuning.case(other)
         if (values := space.locate(case, combination)) is not None:
             spots.append(Points(SEARCH_LABELS[other], np.array([values]), np.array([np.nan])))
     chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
@@ -47,7 +47,7 @@ def landscape_pictures(tuning: Tuning) -> list[Picture]:
     caption += "; lines: the descents, of the relaxed objective" if ways else ""
     if len(space.combinations) > 1:
         caption += f". All with {chosen}, the values of the best candidate"
-    best = np.array(tuning.searches[tuning.best].best.values)[used]
+    best = np.array(tuning.searches[tuning.best_search].best.values)[used]
     words = ", ".join(map(_format_value, variables, best))
     figure = draw_descents(
         variables,
@@ -75,7 +75,7 @@ def _format_value(variable: VariableAxis, value: float) -> str:
     return f"{name} {value:.3g} {unit.rstrip(')')}".rstrip()
 
 
-def _best_points(tuning: Tuning, candidate: int, variables: list[int]) -> list[Points]:
+def _best_points(tuning: TuningResults, candidate: int, variables: list[int]) -> list[Points]:
     """The best point of each search that has the combination."""
     return [
         Points(

@@ -1,4 +1,4 @@
-"""A complete tuning run as reports read it: best points and their objective on unused draws."""
+"""A complete tuning run: best points, and their objective on draws that did not tune."""
 
 import math
 from collections.abc import Callable
@@ -8,19 +8,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.analysis import Estimate, share
+from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.messages import to_one_line
+from sinsjax.study import display
+from sinsjax.study.changes import copy_tables
 from sinsjax.study.identity import describe_differences, fingerprint
+from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.history import Evaluation, SearchResult, load_tuned_study
+from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.run_tuning import (
     EVALUATION,
     GRADIENT,
@@ -44,79 +47,148 @@ _AT_BOUND = 5e-3
 """A value within this share of its range is on the bound: descents stop short of it."""
 
 
-class Tuning(Results):
-    """A complete tuning run: the results of its evaluation on unused draws, and its searches.
-
-    The cases of the study of these results are the candidates: the best point of each search, the
-    baseline and, where resets are tuned, the law's schedule.
+class TuningResults:
+    """Results of a tuning run, read from its directory.
 
     Attributes:
-        search_study: study with [tune].
-        searches: result of each search, by its name.
-        tuned: the study with the best point and without [tune], as in ``tuned.toml``.
+        directory: directory of the tuning run.
+        study: the study with the best point and without [tune], as in ``tuned.toml``. Its seed is
+            new, so that its draws neither tuned nor evaluated.
+
+    Raises:
+        InputError: it is not complete, cannot be read, or ``study.toml`` or ``tuned.toml`` has
+            changed since.
+
+    Examples:
+        >>> changes = {"study.rate_hz": 10.0, "tune.searches": ["grid"], "tune.grid_points": 2}
+        >>> changes |= {"tune.tune_draws": 2, "tune.evaluation_draws": 4}
+        >>> tuned = sinsjax.tune(sinsjax.load_study("tune_condition5", changes), "tuned")
+        >>> tuned.best
+        {'reset_times_s': [2.0, 20.0]}
+        >>> tuned.study.n_variants, tuned.score.n
+        (1, 4)
     """
 
-    search_study: Study
-    searches: dict[str, SearchResult]
-    tuned: Study
+    def __init__(self, directory: str | Path) -> None:
+        """Read a tuning run: its searches, and the results of their evaluation.
 
-    @classmethod
-    def read(cls, directory: str | Path, *, whole_draws: bool = False) -> "Tuning":
-        """Read a tuning run; ``whole_draws`` has no effect, as an unfinished one is refused.
-
-        Raises:
-            InputError: it is not complete, cannot be read, or ``study.toml`` or ``tuned.toml`` has
-                changed since.
+        The cases of the evaluated study are the candidates: the best point of each search, the
+        baseline and, where resets are tuned, the law's schedule.
         """
-        directory = Path(directory)
+        self.directory = directory = Path(directory)
         if not (directory / EVALUATION / "summary").is_dir() or not (directory / TUNED).exists():
             raise _incomplete_error(directory)
-        tuning = super().read(directory / EVALUATION)
-        assert isinstance(tuning, cls) and tuning.draws  # checks that no run is missing
-        tuning.directory, study = directory, load_tuned_study(directory)
-        space = SearchSpace.from_study(study)
-        searches = history.read_searches(directory, space)
-        tuning.search_study = study
-        tuning.searches = {result.search.replace("_", " "): result for result in searches}
-        if not searches or tuning.case_numbers.keys() - {"baseline", LAW, *tuning.searches}:
+        self.evaluation = Results.read(directory / EVALUATION)
+        self.evaluation.directory = directory  # the one that reports name
+        assert self.evaluation.draws  # checks that no run is missing
+        self.search_study = history.load_tuned_study(directory)
+        self._space = SearchSpace.from_study(self.search_study)
+        searches = history.read_searches(directory, self._space)
+        self.searches = {result.search.replace("_", " "): result for result in searches}
+        if not searches or self.case_numbers.keys() - {"baseline", LAW, *self.searches}:
             raise _incomplete_error(directory)  # the evaluation is that of an earlier tuning run
-        tuning.tuned = load_study(directory / TUNED)
-        best = make_tuned_study(study, tuning.searches[tuning.best].point(space))
-        if fingerprint(tuning.tuned) != fingerprint(best):
+        self.study = load_study(directory / TUNED)
+        point = self.searches[self.best_search].point(self._space)
+        best = make_tuned_study(self.search_study, point)
+        if fingerprint(self.study) != fingerprint(best):
             named = ("in the tuning", "in the file")
-            differing = to_one_line("; ".join(describe_differences(best, tuning.tuned, named)))
+            differing = to_one_line("; ".join(describe_differences(best, self.study, named)))
             raise InputError(
                 f"{directory / TUNED}: has changed since the tuning: {differing} (move it away:"
                 " `sinsjax tune --resume` writes it again)"
             )
-        return tuning
+
+    @cached_property
+    def best(self) -> TomlTable:
+        """The best point on the tuning draws: values by key, in the units of the file."""
+        return copy_tables(self.searches[self.best_search].point(self._space))
+
+    @property
+    def search(self) -> str:
+        """The search that found the best point."""
+        return SEARCH_LABELS[self.best_search]
+
+    @property
+    def objective(self) -> str:
+        """The minimised quantity, with its unit."""
+        return objective_label(self.search_study)
+
+    @property
+    def score(self) -> Estimate:
+        """The objective of the best point on the evaluation draws, with its 95 % interval."""
+        return self.score_of(self.best_search)
+
+    @property
+    def baseline(self) -> Estimate:
+        """The objective of the baseline on the same draws, with its 95 % interval."""
+        return self.score_of("baseline")
+
+    @property
+    def law(self) -> Estimate | None:
+        """The objective of the reset schedule by the law on the same draws; None without one."""
+        return self.score_of(LAW) if LAW in self.case_numbers else None
+
+    def __repr__(self) -> str:
+        """Return five short lines: objective, best point, its score, the baseline's, place."""
+        return display.format_text(f"Tuning of {self.search_study.name}", self._facts())
+
+    def __dir__(self) -> list[str]:
+        """Return the names that a user needs, for the completion of interactive sessions."""
+        return ["baseline", "best", "directory", "law", "objective", "score", "search", "study"]
+
+    def _facts(self) -> dict[str, str]:
+        point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())
+        score, baseline = map(format_estimate, (self.score, self.baseline))
+        return {
+            "objective": self.objective,
+            "best": f"{point} ({self.search})",
+            "score": f"{score}; baseline {baseline}",
+            "stored": f"in {self.directory}",
+        }
+
+    # --- for reports ----------------------------------------------------------------------------
 
     @property
     def tune(self) -> TuneSection:
         """The section [tune]."""
         return require_tune(self.search_study)
 
+    @property
+    def best_search(self) -> str:
+        """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
+        return min(self.searches, key=lambda name: self.searches[name].best.objective)
+
+    @property
+    def rival(self) -> str:
+        """The candidate that all others are compared with: the grid's, if there is one."""
+        names = ("grid", *self.searches, "baseline")
+        return next(name for name in names if name in self.case_numbers)
+
     @cached_property
     def case_numbers(self) -> dict[str, int]:
         """Number of the case of each candidate; equal candidates share one."""
-        labels = [case["case"] for case in self.study.cases]
+        labels = [case["case"] for case in self.evaluation.study.cases]
         return {name: i for i, label in enumerate(labels) for name in label.split(", ")}
+
+    def case(self, name: str) -> TomlTable:
+        """Return the keys and values of a candidate, with the label of its case."""
+        return self.evaluation.study.cases[self.case_numbers[name]]
 
     @cached_property
     def run_values(self) -> NDArray:
         """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
-        return self._values_for(self.search_study)
+        return self._run_values(self.search_study)
 
     @cached_property
     def unsettled(self) -> NDArray | None:
         """(cases, variants, draws) whether runs never settle, if the objective is a time."""
         if not self.tune.objective.startswith("settle_"):
             return None
-        return self._values_for(self.search_study.replace({"tune.objective": "failure_rate"})) > 0
+        return self._run_values(self.search_study.replace({"tune.objective": "failure_rate"})) > 0
 
-    def _values_for(self, study: Study) -> NDArray:
-        table = self.rows(objective.summary_columns(require_tune(study), study))
-        return search.point_values(study, self.study, table)
+    def _run_values(self, study: Study) -> NDArray:
+        table = self.evaluation.rows(objective.summary_columns(require_tune(study), study))
+        return search.point_values(study, self.evaluation.study, table)
 
     def settled_share(self, name: str) -> Estimate | None:
         """Return the share of a candidate's runs on the unused draws that settle.
@@ -130,15 +202,10 @@ class Tuning(Results):
         clusters = np.tile(draws(settled.shape[1]).astype(int), len(settled))
         return share(settled.ravel(), clusters)
 
-    def tuning_score(self, name: str) -> float | None:
-        """Return the objective of a search's best point on the tuning draws; None for others."""
-        return self.searches[name].best.objective if name in self.searches else None
-
     @property
     def values_on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
         """Variables at an end of their range in each search's best point, with their values."""
-        space = SearchSpace.from_study(self.search_study)
-        on_bounds = {}
+        space, on_bounds = self._space, {}
         for name, result in self.searches.items():
             best = result.best
             used = space.used_variables(space.combinations[best.candidate])
@@ -147,17 +214,6 @@ class Tuning(Results):
                 (v, x) for v, x in point if not _AT_BOUND < v.position(x) < 1 - _AT_BOUND
             ]
         return on_bounds
-
-    @property
-    def rival(self) -> str:
-        """The candidate that all others are compared with: the grid's, if there is one."""
-        names = ("grid", *self.searches, "baseline")
-        return next(name for name in names if name in self.case_numbers)
-
-    @property
-    def best(self) -> str:
-        """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
-        return min(self.searches, key=lambda name: self.searches[name].best.objective)
 
     def descents(self, number: int) -> list[tuple[NDArray, NDArray]]:
         """Return points, (n, p), and objective of each descent of a combination of candidates."""
@@ -171,7 +227,7 @@ class Tuning(Results):
             for steps in descents.values()
         ]
 
-    def score(self, name: str) -> Estimate:
+    def score_of(self, name: str) -> Estimate:
         """Return the objective of a candidate on the unused draws."""
         runs = self.run_values[self.case_numbers[name]]
         return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]))
@@ -187,12 +243,19 @@ class Tuning(Results):
 
     def _estimate(self, score: Callable[[NDArray], float]) -> Estimate:
         """Return a score with its bootstrap interval over the draws; none on a record."""
-        every, low, high = np.arange(self.run_values.shape[2]), math.nan, math.nan
+        every = np.arange(self.run_values.shape[2])
+        low = high = math.nan
         if not self.search_study.is_recorded:
             low, high = bootstrap_interval(
                 lambda picks: np.array([score(pick) for pick in picks]), every
             )
         return Estimate(score(every), low, high, len(every))
+
+
+def _value_text(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value_text, value))}]"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _incomplete_error(directory: Path) -> InputError:

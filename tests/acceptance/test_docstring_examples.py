@@ -12,7 +12,7 @@ import sinsjax
 pytestmark = pytest.mark.optimised(False)
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
-WITH_METHODS = ("Results", "Study", "TuningResults")
+WITH_METHODS = ("Results", "Study")
 LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "xarray"]}
 
 
@@ -24,8 +24,7 @@ def public_names() -> dict[str, Any]:
     for name in WITH_METHODS:
         methods = {key for key, _ in inspect.getmembers(found[name], callable)}
         own = {key for key in methods & {*vars(found[name])} if not key.startswith("_")}
-        own = own if name == "TuningResults" else own & shown
-        found |= {f"{name}.{key}": getattr(found[name], key) for key in sorted(own)}
+        found |= {f"{name}.{key}": getattr(found[name], key) for key in sorted(own & shown)}
     return found
 
 

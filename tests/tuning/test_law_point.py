@@ -18,7 +18,7 @@ from sinsjax.methods import reset_law
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import gradient, history, results, run_tuning, search
+from sinsjax.tuning import gradient, history, run_tuning, search
 from sinsjax.tuning.law_point import law_point
 from sinsjax.units import ARCMIN, DEG
 
@@ -189,8 +189,7 @@ def test_report_states_gain_over_the_law(tmp_path: Path) -> None:
     """The difference of both on the unused draws, with its interval."""
     tune = SHORT["tune"] | {"searches": ["grid"], "baseline": {"reset_times_s": [1.0, 15.0]}}
     sinsjax.tune(tuned(RANGES, **SHORT | {"tune": tune}), tmp_path / "out")
-    tuning = results.Tuning.read(tmp_path / "out")
     made = sinsjax.TuningResults(tmp_path / "out")
-    gain = tuning.difference(tuning.best, "law")
+    gain = made.difference(made.best_search, "law")
     assert made.law is not None and gain.value == pytest.approx(made.score.value - made.law.value)
     assert ("Law" in report_text(tmp_path / "out")) and gain.low <= gain.value <= gain.high
