@@ -1,6 +1,6 @@
 """Runs laid out over axes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,20 +63,3 @@ class Grid(NamedTuple):
 def median_over_draws(settle_s: NDArray) -> NDArray:
     """Return the median over the draws, the last axis; infinite if fewer than half settled."""
     return np.asarray(np.quantile(settle_s, 0.5, axis=-1, method="inverted_cdf"))
-
-
-def held_out_choices(values: NDArray, choose_best: Callable[[NDArray], int]) -> NDArray:
-    """Return the setting that judges each draw, shape (draws,), chosen without that draw.
-
-    Every other draw chooses for the rest, and the rest for it. A choice judged by the draws that
-    made it would favour the longer list of settings.
-
-    Args:
-        values: shape (settings, ..., draws).
-        choose_best: returns the place of the best setting of the values of some draws.
-    """
-    chosen = np.empty(values.shape[-1], dtype=int)
-    halves = slice(0, None, 2), slice(1, None, 2)
-    for choosing, judging in (halves, halves[::-1]):
-        chosen[judging] = choose_best(values[..., choosing])
-    return chosen

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent
-from sinsjax.analysis.grids import Grid, held_out_choices
+from sinsjax.analysis.grids import Grid
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
 from sinsjax.execution import stopping
@@ -198,9 +198,10 @@ class SweepOutcome:
         """
         if self.n_draws < _MIN_DRAWS_TO_SPLIT or len(self.time_s) == 1:
             return "", True
-        chosen = held_out_choices(
-            self.time_s, lambda half: best_option(half, self.unsettled_time_s)
-        )
+        chosen = np.empty(self.n_draws, dtype=int)
+        halves = slice(0, None, 2), slice(1, None, 2)
+        for choosing, judging in (halves, halves[::-1]):
+            chosen[judging] = best_option(self.time_s[..., choosing], self.unsettled_time_s)
         times_s = self.time_s[chosen, :, np.arange(self.n_draws)].ravel()
         draws = np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
         share, mean_s = analysis.share(np.isfinite(times_s), draws), analysis.mean(times_s, draws)
