@@ -147,17 +147,12 @@ def _check_study_size(study: Study) -> None:
 
 def _check_intervals(study: Study) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
-    rate, record = study.rate_hz, study.study.record_interval_s
+    record = study.study.record_interval_s
     _check_multiple(study, "record_interval_s", record, "samples")
     for key, least in (("feedback_interval_s", 1), ("coarse_duration_s", 2)):
         for point in study.combinations(key) if study.is_readable(key) else ():
             if point[key] is not None:
                 _check_multiple(study, key, point[key], "samples", least)
-    start_by_sample: dict[int, float] = {}
-    for start in study.record.start_s if study.record else ():
-        _check_multiple(study, "start_s", start, "samples", 0)
-        if start_by_sample.setdefault(round(start * rate), start) != start:
-            study.refuse("start_s", f"{start!r} s is the sample of another start time (drop one)")
     if study.study.duration_s < record * (1 - ROUNDING):
         duration = f"duration_s = {study.study.duration_s:.12g}"
         study.refuse("record_interval_s", f"{record:.12g} s is longer than a run, {duration}")
