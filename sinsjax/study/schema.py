@@ -192,7 +192,10 @@ class MotionSection(Section):
         KeyCondition(("roll_period_s", "roll_phase_deg"), _AMPLITUDES[1:2], _any_nonzero),
         KeyCondition(("yaw_period_s", "yaw_phase_deg"), _AMPLITUDES[2:], _any_nonzero),
         KeyCondition(
-            (*TURN_KEYS, *_AMPLITUDES, *_CENTERS), ("attitude_file",), lambda file: not file, True
+            (*TURN_KEYS, *_AMPLITUDES, *_CENTERS),
+            ("attitude_file",),
+            lambda file: file is None,
+            refused=True,
         ),
         KeyCondition(TURN_KEYS[1:], TURN_KEYS[:1], bool, refused=True),
         KeyCondition(
