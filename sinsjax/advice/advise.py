@@ -27,6 +27,7 @@ from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, without_empty
 from sinsjax.bounds.information import HeadingProblem, heading_bound
 from sinsjax.bounds.turn_planner import SHORTEST_S, TurnChoice, compare_turns
 from sinsjax.methods.filters.keys import level_surge
+from sinsjax.study import display
 from sinsjax.study.turns import DEFAULTS, useless_methods
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 
@@ -238,10 +239,16 @@ class Advice:
         return plot_budget(self.budget.times_s, rms, shares, names, self.time_s, title)
 
     def __repr__(self) -> str:
-        """Return the advice as `sinsjax advise` prints it."""
-        from sinsjax.advice.text import describe_advice
-
-        return "\n".join(describe_advice(self))
+        """Return the main numbers; `sinsjax.advice.text.describe_advice` has all of them."""
+        here, shares = self.heading, self.shares
+        facts = {
+            "heading": f"{here.rms_arcmin:.3g} arcmin rms after {self.time_s:g} s",
+            "95 %": f"within {here.within_95_arcmin:.3g} arcmin",
+            "budget": ", ".join(f"{SOURCES[key]} {part:.0%}" for key, part in shares.items()),
+            "method": self.choice.method,
+        }
+        facts |= {f"warning {k}": text for k, text in enumerate(self.warnings, start=1)}
+        return display.format_text(f"Advice for {self.name}", facts)
 
     @property
     def _cos_latitude(self) -> float:
