@@ -522,8 +522,8 @@ def add_turns(motion: Motion, keys: Variants) -> Motion:
     unused = (0, 2 ** (len(plan) - 1).bit_length() - len(plan))
     begin = np.pad(turns.begin, unused, constant_values=_NEVER_S)
     turns = Turns(*(np.pad(a, unused, mode="edge") for a in turns))._replace(begin=begin)
-    place = "table" if values["turn_axis"] == "body" else "vertical"
-    return motion._replace(**{place: turns})
+    found: dict[str, Any] = {"table" if values["turn_axis"] == "body" else "vertical": turns}
+    return motion._replace(**found)
 
 
 def read_errors(common: Lookup, ug: float, rate_hz: float) -> SensorErrors:

@@ -243,7 +243,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         columns: names of all columns of a file that does not name them.
         skip_rows: number of lines before the names, or before the samples.
     """
-    _, lines = next(read_lines(path))
+    _, lines = next(read_lines(path), (1, []))
     shape = _find_shape(path, lines, columns, skip_rows)
     _check_width(path, shape.names)
     rows: list[NDArray[np.int64]] = []

@@ -25,6 +25,12 @@ class CodedColumn(NamedTuple):
     codes: np.ndarray
     choices: tuple[Any, ...]
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether a column has the same values; studies that cache columns are compared."""
+        if not isinstance(other, CodedColumn):
+            return False
+        return self.choices == other.choices and np.array_equal(self.codes, other.codes)
+
     def map(self, function: Callable[[Any], Any]) -> "CodedColumn":
         """Return the column of a function of the values."""
         return CodedColumn(self.codes, tuple(map(function, self.choices)))
