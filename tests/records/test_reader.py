@@ -66,6 +66,7 @@ def test_text_of_every_shape_gives_same_numbers(tmp_path, shape):
     ("content", "told"),
     [
         (b"", "empty"),
+        (b"\xff\xfe", "blank lines"),
         (b"\n\n", "blank"),
         (b"%RAWIMUSXA,2000,300000.08\n" * 9, "comments"),
         (PLAIN.replace("gx", "g\N{DEGREE SIGN}").encode("cp1252"), "UTF-8 iconv"),

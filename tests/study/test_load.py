@@ -298,7 +298,15 @@ def test_fingerprint_changes_with_any_value():
 
 
 @pytest.mark.nightly(
-    fast=("reset_sweep", "methods", "car_test", "compass_car", "paper1_resets", "tune_condition5")
+    fast=(
+        "reset_sweep",
+        "methods",
+        "arena",
+        "car_test",
+        "compass_car",
+        "paper1_resets",
+        "tune_condition5",
+    )
 )
 @pytest.mark.parametrize("name", files.shipped_studies())
 def test_shipped_study_is_displayed_in_five_short_lines_and_round_trips(name):
