@@ -10,6 +10,8 @@ from support.plain_studies import build_study
 from support.studies import small_study
 
 from sinsjax.execution.success import last_scheduled_reset_s
+from sinsjax.study.load import load_study
+from sinsjax.study.reset_plan import reset_schedule
 from sinsjax.study.variants import Variants
 
 AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
@@ -28,6 +30,13 @@ def test_reset_times_follow_count_first_time_and_cycle():
     assert times == (0.1, 0.2, 3 * 0.1)
     alone = build_study(resets={"reset_first_s": 25}, axes={"reset_count": [0, 1]})
     assert alone.reset_times() == [(), (25.0,)]
+
+
+@pytest.mark.parametrize(("p0", "opened"), [(0.1, 1.0), (2.0, 2.0)])
+def test_law_opens_velocity_to_one_metre_per_second_or_p0(p0, opened):
+    study = load_study("paper1_resets", {"filter.p0_velocity_m_per_s": p0})
+    plan = reset_schedule(study, heading_bound_deg=60.0)
+    assert plan.settings["reset_velocity_m_per_s"] == opened
 
 
 @pytest.mark.parametrize(
