@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,7 +24,7 @@ from sinsjax.advice.heading import (
 )
 from sinsjax.advice.method import Choice, choose_method
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, without_empty
-from sinsjax.bounds.information import HeadingProblem, heading_bound
+from sinsjax.bounds.information import heading_bound
 from sinsjax.bounds.turn_planner import SHORTEST_S, TurnChoice, compare_turns
 from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study import display
@@ -314,7 +314,7 @@ def advise_sheet(given: Sheet) -> Advice:
         choice=choice,
         budget=budget,
         bound_arcmin=float(bound / ARCMIN),
-        turns=_turns(given, problem, left_out),
+        turns=None if given.is_turned else compare_turns(problem, given.asked.time_s, left_out),
     )
 
 
@@ -353,13 +353,6 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
     return replace(sheet, tables=tables)
 
 
-def _turns(sheet: Sheet, problem: HeadingProblem, left_out: Sequence[str]) -> TurnChoice | None:
-    """Compare usual ways to turn the IMU with the sheet's own motion and sensors."""
-    if sheet.is_turned:
-        return None
-    return compare_turns(problem, sheet.asked.time_s, left_out)
-
-
 def _iter_warnings(advice: Advice) -> Iterator[str]:
     """Yield what can go wrong."""
     here, asked, shares = advice.heading, advice.sheet.asked, advice.shares
@@ -389,9 +382,10 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             " (turn without surge, for gravity_fit)"
         )
     if _rotates(motion) and not level_surge(motion.get("surge_m_per_s")):
+        surge = MOTIONS["surging"]["surge_m_per_s"]
         yield (
-            "the base is assumed to rotate without moving: a surge of 0.1 m/s rms would make it"
-            f" {format_angle(advice.surging_rms_arcmin)} (--motion surging)"
+            f"the base is assumed to rotate without moving: a surge of {surge:g} m/s rms would make"
+            f" it {format_angle(advice.surging_rms_arcmin)} (--motion surging)"
         )
     if abs(advice.latitude_deg) >= _HIGH_LATITUDE_DEG:
         factor = f"{1 / advice._cos_latitude:.3g}"

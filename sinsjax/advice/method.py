@@ -8,6 +8,7 @@ import tomli_w
 
 from sinsjax.advice.sheet import Sheet, rms
 from sinsjax.methods.filters.keys import level_surge, update_variance
+from sinsjax.study.schema import MotionSection
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
@@ -63,10 +64,9 @@ def choose_method(sheet: Sheet) -> Choice:
     motion = sheet.tables["motion"]
     surge = level_surge(motion.get("surge_m_per_s"))
     if surge:
-        time_s = float(motion.get("surge_time_s", 5.0))
         sections = {
             "alignment": {"method": FILTER},
-            "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": time_s},
+            "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": surge_time_s(motion)},
             "filter": _noise_of(sheet),
         }
         return Choice(FILTER, sections, "it estimates the velocity of a surging base")
@@ -89,11 +89,16 @@ def choose_method(sheet: Sheet) -> Choice:
     return Choice(FIT, sections, reason)
 
 
+def surge_time_s(motion: Mapping[str, Any]) -> float:
+    """Return the correlation time of the surge, s."""
+    return float(motion.get("surge_time_s", MotionSection.model_fields["surge_time_s"].default))
+
+
 def velocity_sigma(sheet: Sheet) -> float:
     """Return the root of R of a filter that takes surge for noise, m/s per update."""
     motion = sheet.tables["motion"]
     surge = level_surge(motion.get("surge_m_per_s"))
-    time_s = float(motion.get("surge_time_s", 5.0))
+    time_s = surge_time_s(motion)
     rate_hz = float(sheet.tables["study"]["rate_hz"])
     return round_off(math.sqrt(update_variance(rate_hz, None, "per_update", None, surge, time_s)))
 

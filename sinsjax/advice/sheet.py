@@ -229,12 +229,14 @@ def _check_tables(data: Mapping[str, Any]) -> None:
             raise InputError(f"[{name}]: must be a table of keys")
     given = ((name, key) for name in ("sensors", "drawn") for key in data.get(name, {}))
     unknown = [(name, key) for name, key in given if key not in SECTION_OF]
-    if any(_describe_unknown_key(key) for _, key in unknown):
-        hints = (
-            (f"[{name}] {key}", _describe_unknown_key(key) or suggest_closest(key, SECTION_OF))
-            for name, key in unknown
+    hints = {key: _describe_unknown_key(key) for _, key in unknown}
+    if any(hints.values()):
+        raise InputError(
+            *(
+                f"[{name}] {key}: unknown key{hints[key] or suggest_closest(key, SECTION_OF)}"
+                for name, key in unknown
+            )
         )
-        raise InputError(*(f"{where}: unknown key{hint}" for where, hint in hints))
 
 
 def _describe_unknown_key(key: str) -> str:

@@ -98,9 +98,9 @@ def _iter_motion(motion: dict[str, Any]) -> Iterator[str]:
     """Yield the numbers of the motion that the advice assumes."""
     for axis in _AXES:
         if amplitude := motion.get(f"{axis}_amplitude_deg"):
-            yield f"{axis} {amplitude} deg every {motion.get(f'{axis}_period_s', 10.0):g} s"
+            yield f"{axis} {amplitude} deg every {motion[f'{axis}_period_s']:g} s"
     if surge := motion.get("surge_m_per_s"):
-        yield f"surge {surge} m/s rms over {motion.get('surge_time_s', 5.0):g} s"
+        yield f"surge {surge} m/s rms over {methods.surge_time_s(motion):g} s"
     if lever_arm := motion.get("lever_arm_m"):
         yield f"lever arm {lever_arm} m"
 
