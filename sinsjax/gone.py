@@ -1,11 +1,7 @@
-"""What version 1.0 had and this version does not have, each with what to use instead.
-
-The texts end a line such as ``[filter] turning: was removed after 1.0 (...)``.
-"""
+"""Keys and values of version 1.0 that this version does not have, with what to use instead."""
 
 MARK = "was removed after 1.0"
 LINE = MARK + " ({})"
-"""The message about something that is gone, with the text about it."""
 
 KEYS: dict[str, str] = {
     "study.check_linearity": "drop it, with estimate = 'covariance'",
@@ -26,24 +22,3 @@ VALUES: dict[tuple[str, str], str] = {
     ("tune.searches", "covariance"): "use 'gradient' or 'sobol'",
 }
 """Values of keys, by ``section.key`` and value."""
-
-COMMANDS: dict[str, str] = {
-    "bench": "python benchmarks/bench.py, in the repository",
-    "terms": "docs/glossary.md",
-}
-"""Commands of the command line."""
-
-OPTIONS: dict[tuple[str, str], str] = {
-    ("export", "--resume"): "export again, with --overwrite",
-    ("report", "--page"): "use --html FILE",
-    ("schedule", "--study"): 'write schedule = "law" in [resets], or --set resets.schedule=law',
-    ("sweep", "--workers"): "start `dask scheduler` and `dask worker`, give --scheduler URL",
-}
-"""Options, by command and option with its dashes."""
-
-NAMES: dict[str, str] = {
-    "estimate": "use `sinsjax.run`: every result is of draws",
-    "estimated_curves": "use `sinsjax.read_curves`",
-    "read_estimates": "use `sinsjax.read_summary`",
-}
-"""Names of the package in Python."""
