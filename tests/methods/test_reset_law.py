@@ -225,13 +225,8 @@ def test_schedule_command_shows_times(sinsjax: Command) -> None:
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
 
 
-def test_plan_states_what_noise_and_instability_add() -> None:
-    """The template sweep: 48 runs of the law from 150 deg have a median of 211 s, 90 % by 434 s."""
-    study = load_study(asset_path("configs/templates/sweep.toml"))
-    plan = reset_schedule(study)
-    assert plan.settling_s < 0.85 * 211 and plan.noisy_s == pytest.approx(211, rel=0.15)
-    assert plan.late_s > 434 and plan.median == "163 to 238 s" and plan.left_out == ()
-    quiet = reset_schedule("paper1_resets")
-    assert quiet.median == "301 s"
-    drifting = reset_schedule(study.replace({"sensors.accel_instability_ug": 10.0}))
-    assert drifting.left_out == ("accel_instability_ug",)
+def test_plan_predicts_settling_of_a_median_run() -> None:
+    """The template sweep: 48 runs of the law from 150 deg have a median of 211 s."""
+    plan = reset_schedule(load_study(asset_path("configs/templates/sweep.toml")))
+    assert 0.7 * 211 < plan.settling_s < 211 and plan.without_s > plan.settling_s
+    assert reset_schedule("paper1_resets").settling_s == pytest.approx(301, abs=1)
