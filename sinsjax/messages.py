@@ -75,11 +75,6 @@ def suggest_closest(word: str, known_words: Iterable[str], template: str = "{}")
     return f" (did you mean {template.format(found[0])}?)" if found else ""
 
 
-def format_list_index(error: ErrorDetails) -> str:
-    """Return the position of an error in a list, ``[3]`` or ``[3][0]``; else an empty string."""
-    return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
-
-
 def describe_broken_rule(error: ErrorDetails) -> str:
     """The rule that a value breaks."""
     kind = error["type"]

@@ -59,9 +59,8 @@ class KeyInfo(NamedTuple):
             number of passes.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
         acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
-            nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
-            error. 'distortion': constant error in proportion to what a sensor measures. 'quantum':
-            resolution. 'process': size of a random process. 'process_shape': a number of one.
+            nothing of it. 'sway': amplitude of an angle. 'distortion': constant error in proportion
+            to what a sensor measures. 'quantum': resolution. 'process': size of a random process.
     """
 
     usual_range: tuple[float, float] | None = None
@@ -221,9 +220,7 @@ ReportTimes = Annotated[
     AfterValidator(_require_increasing),
     AfterValidator(_require_distinct_columns),
 ]
-Bands = Annotated[
-    tuple[Band, ...], AfterValidator(require_unique), AfterValidator(_require_distinct_columns)
-]
+Bands = Annotated[tuple[Band, ...], AfterValidator(_require_distinct_columns)]
 Starts = Annotated[
     tuple[SecondsOrZero, ...],
     Field(min_length=1),
@@ -275,7 +272,3 @@ class Section(BaseModel):
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
         keys = [first, *(key for key, info in infos.items() if info.alternative_to == first)]
         return MappingProxyType({key: si_factor(key) / si_factor(first) for key in keys})
-
-    def __dir__(self) -> list[str]:
-        """Return the keys, for the completion of interactive sessions."""
-        return sorted(type(self).model_fields)

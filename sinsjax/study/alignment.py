@@ -6,7 +6,7 @@ from pydantic import Field, ValidationError, WrapValidator
 
 from sinsjax import value_types as vt
 from sinsjax.messages import explain_error
-from sinsjax.methods.registry import METHODS, external_names
+from sinsjax.methods.registry import BROKEN, METHODS, external_names
 from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
@@ -14,6 +14,8 @@ _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 def _check_method_name(name: Any, check: Any) -> Any:
     """Return the name of a method, or raise an error with the known names."""
+    if isinstance(name, str) and name in BROKEN.keys() - METHODS.keys():
+        raise rule_error(f"{name!r} cannot be used: {BROKEN[name]}")
     if isinstance(name, str) and external_names([name]):
         return name
     try:
@@ -28,14 +30,8 @@ else:
     MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
 
 
-def _initial_angle(about: str) -> Any:
-    rotate = "the three angles rotate the computed to the true attitude"
-    return field(f"initial misalignment about {about}; {rotate}", 0.0)
-
-
-def _initial_velocity(axis: str) -> Any:
-    error = "an error, since the base does not travel"
-    return field(f"initial computed {axis} velocity; {error}", 0.0)
+_ROTATE = "the three angles rotate the computed to the true attitude"
+_AN_ERROR = "an error, since the base does not travel"
 
 
 def _has_rotation(*angles: float | None) -> bool:
@@ -48,15 +44,17 @@ class AlignmentSection(Section):
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
     method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
-    phi_e0_deg: vt.HalfTurn = _initial_angle("east")
-    phi_n0_deg: vt.HalfTurn = _initial_angle("north")
-    phi_u0_deg: vt.HalfTurn = _initial_angle("up, the heading error")
+    phi_e0_deg: vt.HalfTurn = field(f"initial misalignment about east; {_ROTATE}", 0.0)
+    phi_n0_deg: vt.HalfTurn = field(f"initial misalignment about north; {_ROTATE}", 0.0)
+    phi_u0_deg: vt.HalfTurn = field(
+        f"initial misalignment about up, the heading error; {_ROTATE}", 0.0
+    )
     misalignment: Literal["vector", "euler"] = field(
         "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
         "vector",
     )
-    ve0_m_per_s: vt.Speed = _initial_velocity("east")
-    vn0_m_per_s: vt.Speed = _initial_velocity("north")
+    ve0_m_per_s: vt.Speed = field(f"initial computed east velocity; {_AN_ERROR}", 0.0)
+    vn0_m_per_s: vt.Speed = field(f"initial computed north velocity; {_AN_ERROR}", 0.0)
     position: Literal["fixed", "integrated"] = field(
         "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )

@@ -69,12 +69,8 @@ DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `DERIVED` at a point of a study.
 
-    Args:
-        rate_hz: samples per second.
-        point: values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply.
-
-    Raises:
-        InputError: the law has no schedule there; the line begins ``[section] key``.
+    The point has the values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply. If the
+    law has no schedule there, an `InputError` begins ``[section] key``.
     """
     given, schedule = {key: point[key] for key in DERIVED}, point["schedule"]
     if schedule not in ("none", "law", "trigger"):
@@ -93,11 +89,7 @@ def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule | None:
-    """Return the schedule of a point by the law; None for a method without resets.
-
-    Raises:
-        InputError: see `derive_schedule`.
-    """
+    """Return the schedule of a point by the law; None for a method without resets."""
     if "resets" not in METHODS[point["method"]].sections:
         return None
     if point["method"] not in LAW_METHODS:
@@ -124,13 +116,9 @@ def predict_settling(
 ) -> list[float | None]:
     """Return the predicted settling time of a median run from the start of each point, s.
 
-    None where it does not settle within the run, where the law does not hold for its method, where
-    a trigger resets it, or if its start is drawn.
-
-    Args:
-        rate_hz: samples per second.
-        run_s: duration of the runs, s.
-        points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
+    A point has the values of `LAW_KEYS`, `DERIVED` and `START_KEYS`. None where it does not settle
+    within the run, where the law does not hold for its method, where a trigger resets it, or if its
+    start is drawn.
     """
     lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
     bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
@@ -156,13 +144,7 @@ def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
 
 
 def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
-    """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
-
-    Args:
-        rate_hz: samples per second.
-        time_s: length of the data, s.
-        point: values of `NOISE_KEYS`.
-    """
+    """Return the sigma of heading that the sensors' white noise leaves after a time, rad."""
     place = _read_place(point)
     accel = (ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2
     gyro = (GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2
@@ -170,11 +152,7 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
 
 
 def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
-    """Return the filter of a point and its place, as the law sees them.
-
-    Raises:
-        InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
-    """
+    """Return the filter of a point and its place, as the law sees them."""
     for key, section in _ONE_VALUE.items():
         if point[key] is None:
             raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")

@@ -20,14 +20,8 @@ _RANDOM_BITS = 52  # the middle of an interval of 2^-52 is still a double
 def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
     """Return the values of all drawn keys in the draws ``first`` to ``first + count - 1``.
 
-    Args:
-        study: checked study.
-        count: number of draws.
-        first: number of the first draw.
-
-    Returns:
-        Values by key, in the order and in the units of the file: (count,), or (count, 3 or 6) for a
-        key with one number per axis. Empty if nothing is drawn.
+    By key, in the order and in the units of the file: (count,), or (count, 3 or 6) for a key with
+    one number per axis.
     """
     if study.drawn is None:
         return {}
@@ -41,10 +35,7 @@ def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.nd
 
 
 def truncate_drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
-    """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
-
-    Lists and grids have the entries that are drawn.
-    """
+    """Return [drawn] of a study with fewer draws, with the same values in each of them."""
     table = drawn.model_dump(exclude_none=True)
     for key, rows in _listed_values(drawn.laws, np.arange(count)).items():
         table[key] = {"values": (rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0]).tolist()}

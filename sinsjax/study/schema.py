@@ -574,9 +574,18 @@ class Distribution(Section):
         if self.uniform is not None:
             low, high = self.uniform
             return float(np.sqrt((low * low + low * high + high * high) / 3))
-        entries = self.values if self.values is not None else self.grid
-        assert entries is not None
+        entries = self.values or self.grid or ()
         return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Limits of its numbers; of a normal law those of 2^52 draws."""
+        if self.normal is not None:
+            mean, deviation = self.normal
+            return mean - 8.3 * deviation, mean + 8.3 * deviation
+        entries = self.uniform or self.values or self.grid or ()
+        numbers = [number for entry in entries for number in np.ravel(entry)]
+        return float(min(numbers)), float(max(numbers))
 
 
 class DrawnSection(Section):

@@ -23,13 +23,10 @@ MAX_GRID_VARIABLES = 2
 
 
 class Variable(NamedTuple):
-    """A number that is searched in an interval.
+    """A number that is searched from low to high, in the unit of its key.
 
     Attributes:
-        key: leaf key of the study.
         entry: index in a list, from 0; None if the key is one number.
-        low: lowest value, in the unit of the key.
-        high: highest value.
         log: whether the scale from low to high is logarithmic.
     """
 
@@ -65,8 +62,6 @@ class SearchSpace:
         ranges: ranges of [tune.variables], by key.
         variables: free variables in the order of the file, the dimensions of the box.
         combinations: candidates of all keys, the last key fastest, each with the fixed values.
-        rate_hz: sample rate of the study, Hz.
-        record_interval_s: record interval of the study, s.
     """
 
     ranges: Ranges
@@ -209,15 +204,9 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
 def comparable_points(
     study: Study, baseline_study: Study, points: Mapping[str, TomlTable]
 ) -> dict[str, TomlTable]:
-    """Return points and the baseline with the same keys, as cases of one study.
+    """Return points and the baseline with the same keys, as cases of one study with [tune].
 
-    Args:
-        study: study with [tune].
-        baseline_study: study with the values of the baseline.
-        points: points of the tuning by name.
-
-    Raises:
-        InputError: the baseline lacks a key of the points, or the study one of the baseline.
+    An `InputError` says that the baseline lacks a key of the points, or the study one of it.
     """
     assert study.tune is not None
     keys = list(next(iter(points.values())))

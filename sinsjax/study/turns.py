@@ -29,8 +29,6 @@ class Turn(NamedTuple):
         begin: sample at which the ramp up begins.
         length: samples from there to the beginning of the ramp down.
         ramp: samples of a ramp.
-        angle_deg: signed angle.
-        rate_deg_per_s: signed rate after the ramp.
     """
 
     begin: int
@@ -45,18 +43,11 @@ class TurnError(ValueError):
 
 
 def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> list[Turn]:
-    """Return the turns of a run in whole samples, in order of time; none begins after the end.
+    """Return the turns of a run of some length in whole samples; none begins after the end.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
-    angle, unless the run ends within the turn.
-
-    Args:
-        rate_hz: sample rate, Hz.
-        end_s: length of the data, s.
-        values: values of `TURN_KEYS`; None for a key that is left out.
-
-    Raises:
-        TurnError: turns that overlap or are too fast for the samples.
+    angle, unless the run ends within the turn. The values are those of `TURN_KEYS`; a `TurnError`
+    refuses turns that overlap or are too fast for the samples.
     """
     times_s = values["turn_times_s"] or ()
     angle, rate, ramp_s = (
@@ -113,11 +104,7 @@ def _turned_points(study: Study, *keys: str) -> Iterator[dict[str, Any]]:
 
 
 def check_turns(study: Study) -> None:
-    """Refuse turns that overlap or are too fast for the samples.
-
-    Raises:
-        InputError: ``[section] key: what is wrong (hint)``.
-    """
+    """Refuse turns that overlap or are too fast for the samples."""
     for point in _turned_points(study):
         try:
             turns_in_samples(study.rate_hz, data_end_s(study), point)

@@ -255,10 +255,10 @@ def test_line_names_keys_whose_condition_does_not_hold(load):
     )
     _, (note,) = load(tables)
     reasons = {places(reason)[0]: reason for reason in note.split("; ")}
-    assert "pitch_amplitude_deg = 0" in reasons["[motion] pitch_period_s"]
-    assert "surge_m_per_s = 0" in reasons["[motion] surge_time_s"]
+    assert "pitch_amplitude_deg" in reasons["[motion] pitch_period_s"]
+    assert "surge_m_per_s" in reasons["[motion] surge_time_s"]
     assert "phi_n0_deg, phi_u0_deg" in reasons["[alignment] phi_e0_deg"]
-    assert "reset_kind = scale" in reasons["[resets] reset_yaw_deg"] and len(reasons) == 4
+    assert "reset_kind" in reasons["[resets] reset_yaw_deg"] and len(reasons) == 4
     tables["axes"] = {"pitch_amplitude_deg": [0.0, 1.0], "reset_kind": ["scale", "yaw"]}
     tables["axes"] |= {"coarse_method": ["none", "inertial"], "surge_m_per_s": [0.0, 0.1]}
     assert load(tables)[1] == [] == load(small_tables())[1]

@@ -45,8 +45,8 @@ sensors.gyro_arw_deg_per_sqrt_h = 1 & axes.gyro_noise_deg_per_h = [1]
     -> [axes] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [sensors]
 sensors.accel_vrw_ug_per_sqrt_hz = 1 & drawn.accel_noise_ug.values = [1]
     -> [drawn] accel_noise_ug: accel_vrw_ug_per_sqrt_hz [sensors]
-earth.earth = "wgs84" & axes.radius_m = [6.3e6, 6.4e6]    -> [axes] radius_m: earth wgs84
-earth.radius_m = 6.4e6 & cases = [{earth = "wgs84"}]     -> [earth] radius_m: earth wgs84
+earth.earth = "wgs84" & axes.radius_m = [6.3e6, 6.4e6]    -> [axes] radius_m: earth
+earth.radius_m = 6.4e6 & cases = [{earth = "wgs84"}]     -> [earth] radius_m: earth
 # Axes and cases
 axes.method = ["kalman5", "x"]               -> [axes] method[1]: 'kalman5' 'compass' 'x'
 axes.phi_u0_deg = {uniform = [0, 1]}         -> [axes.phi_u0_deg] uniform
@@ -104,7 +104,7 @@ axes.accel_noise_ug = [1.0, [0, 0, 1e9]]     -> [axes] accel_noise_ug[1][2]: 100
 alignment.method = "compass" & compass.level_gains = [1.0, 9e11, 0.0]
     -> [compass] level_gains[1]: 900000000000
 drawn.accel_bias_ug.normal = [0, 1e9]        -> [drawn] accel_bias_ug: outside
-drawn.accel_bias_ug.values = [0, [0, 1e9, 0]]    -> [drawn] accel_bias_ug: draw 1 outside
+drawn.accel_bias_ug.values = [0, [0, 1e9, 0]]    -> [drawn] accel_bias_ug: outside
 tune = {variables.p0_yaw_deg = {low = 1.0, high = 1e6}, searches = ["grid"]}
     -> [tune.variables] with every range at its high end: p0_yaw_deg 1000000
 tune = {variables.p0_yaw_deg = {candidates = [1.0, 1e6]}, searches = ["grid"]}
