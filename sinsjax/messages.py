@@ -88,12 +88,7 @@ def describe_broken_rule(error: ErrorDetails) -> str:
 
 
 def explain_error(error: ErrorDetails, key: str = "") -> str:
-    """The rule that a value breaks, and the value unless the rule already shows it.
-
-    Args:
-        error: of pydantic.
-        key: ``section.key``, some values of which may be gone.
-    """
+    """The rule that a value of ``section.key`` breaks, and the value unless the rule shows it."""
     given = error["input"]
     if isinstance(given, str) and (key, given) in gone.VALUES:
         return f"{given!r} {gone.LINE.format(gone.VALUES[key, given])}"

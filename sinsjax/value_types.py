@@ -27,12 +27,7 @@ from sinsjax.units import si_factor
 
 
 def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
-    """The error of a broken rule within a section.
-
-    Args:
-        text: the message.
-        key: the key to name, for a rule about the whole section.
-    """
+    """The error of a broken rule within a section; of a rule about the whole it names a key."""
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
@@ -82,19 +77,12 @@ def keys_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 class KeyCondition(NamedTuple):
-    """Condition under which keys affect a run at all, whatever their values.
-
-    Attributes:
-        keys: the keys concerned.
-        given: the keys that the condition depends on.
-        acts: (values of ``given``) -> whether ``keys`` act; a drawn value is None.
-        refused: whether a value that no run reads is an error.
-    """
+    """Condition under which keys affect a run at all, whatever their values."""
 
     keys: tuple[str, ...]
-    given: tuple[str, ...]
-    acts: Callable[..., bool]
-    refused: bool = False
+    given: tuple[str, ...]  # keys that it depends on
+    acts: Callable[..., bool]  # of the values of ``given``, None if drawn
+    refused: bool = False  # whether a value that no run reads is an error
 
     def acts_at(self, points: Iterable[Mapping[str, Any]]) -> bool:
         """Return whether ``keys`` act with the values of ``given`` at one of some points."""

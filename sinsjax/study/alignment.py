@@ -30,6 +30,7 @@ else:
     MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
 
 
+_METHODS = ", ".join(f'"{name}"' for name in METHODS)
 _ROTATE = "the three angles rotate the computed to the true attitude"
 _AN_ERROR = "an error, since the base does not travel"
 
@@ -43,7 +44,7 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
+    method: MethodName = field(f"see `sinsjax keys METHOD` ({_METHODS})", "kalman5")
     phi_e0_deg: vt.HalfTurn = field(f"initial misalignment about east; {_ROTATE}", 0.0)
     phi_n0_deg: vt.HalfTurn = field(f"initial misalignment about north; {_ROTATE}", 0.0)
     phi_u0_deg: vt.HalfTurn = field(
@@ -134,16 +135,10 @@ class PassesSection(Section):
 class CoarseSection(Section):
     """[coarse]: coarse alignment before the method.
 
-    In a simulation it is a stage of every run, after which the method starts with zero velocity and
-    its P0. Until then the attitude of a run is that of the coarse method. All times count from the
-    first sample of data, and resets and feedback start with the method. The initial misalignment
-    and velocity of [alignment] have no effect. 'replay' propagates the coarse attitude back to the
-    first sample, and the method processes all data again before the next record time; its results
-    for the time of the coarse alignment are known only then, and are not stored.
-
-    For a record, 'replay' is the same. With 'hand_over' each start time is coarsely aligned before
-    the run: the end of the coarse alignment is t = 0, and the initial misalignment is added to its
-    attitude.
+    It is the first stage of a run, in place of the initial misalignment and velocity; times count
+    from the first sample of data. 'replay' processes that data again before the next record time.
+    A record that is handed over is coarsely aligned before the run: its end is t = 0, and the
+    initial misalignment is added to its attitude.
     """
 
     conditions = (

@@ -33,12 +33,6 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     return ratios
 
 
-def _takes_surge_for_noise(method: str) -> bool:
-    """Return whether a method is a filter without states for the surge."""
-    sections = METHODS[method].sections
-    return "filter" in sections and "surge" not in sections
-
-
 def _check_q_unit(study: Study) -> None:
     """Refuse a Q without its unit, a density in another one, and a unit without Q."""
     keys = [key for noise in _NOISES for key in noise.forms]
@@ -82,7 +76,9 @@ def _check_r(study: Study) -> None:
     drawn = [key for key in keys_of(surge_density) if key in study.drawn_keys]
     points = study.combinations("method", "r_velocity_m_per_s")
     for point in points if drawn and study.has("filter") else ():
-        if point["r_velocity_m_per_s"] is None and _takes_surge_for_noise(point["method"]):
+        sections = METHODS[point["method"]].sections
+        follows = "filter" in sections and "surge" not in sections
+        if point["r_velocity_m_per_s"] is None and follows:
             text = f"required ({drawn[0]} is drawn, but the filter has the same R in all draws)"
             study.refuse("r_velocity_m_per_s", text)
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, NamedTuple
 
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -84,23 +84,16 @@ VARYING = (
 
 
 class Key(NamedTuple):
-    """A key of a study file, of a table in it.
-
-    Attributes:
-        default: value as a file writes it, a description, or ``required``; empty without a default.
-        meaning: description, with the words that the key accepts.
-        methods: methods that read it.
-        depends_on: keys whose values decide whether it has an effect.
-    """
+    """A key of a table in a study file."""
 
     section: str
     name: str
     unit: str
-    default: str
+    default: str  # as a file writes it, a description, or "required"; empty without one
     meaning: str
     info: KeyInfo
-    methods: tuple[str, ...]
-    depends_on: tuple[str, ...]
+    methods: tuple[str, ...]  # that read it
+    depends_on: tuple[str, ...]  # keys whose values decide whether it has an effect
 
     @property
     def readers_text(self) -> str:
@@ -184,22 +177,13 @@ def has_effect(key: str, values: Mapping[str, Any]) -> bool:
     return all(condition.acts_at([values]) for condition in effect_conditions(key))
 
 
-def _accepted_words(annotation: Any) -> tuple[str, ...]:
-    """Return the words that a key accepts; empty for a key of numbers or of free text."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return next(filter(None, map(_accepted_words, get_args(annotation))), ())
-
-
 def _build_key(section: str, name: str, field: FieldInfo) -> Key:
-    text, words = field.description or "", _accepted_words(field.annotation)
-    if not all(f"'{word}'" in text for word in words):
-        text = f"{text} ({', '.join(map(format_toml, words))})"
     is_leaf = SECTION_OF.get(name) == section
     methods = reading_methods(name) if is_leaf else tuple(METHODS)
     depends_on = deciding_keys(name) if is_leaf else ()
     unit, info = split_unit(name)[1], key_info(field)
-    return Key(section, name, unit, _format_default(field, info), text, info, methods, depends_on)
+    default, text = _format_default(field, info), field.description or ""
+    return Key(section, name, unit, default, text, info, methods, depends_on)
 
 
 def _format_default(field: FieldInfo, info: KeyInfo) -> str:

@@ -39,9 +39,6 @@ from sinsjax.study.sweep import (
     without_gone_settings,
 )
 
-SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
-"""Sections of a sheet, which `sinsjax.advise` reads."""
-
 
 def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = None) -> Study:
     """Read and check a study.
@@ -59,7 +56,7 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
         Study reset_sweep
           runs    448 variants x 2 draws = 896 runs
-          axes    reset_count 0..6 (7); reset_cycle_s 10..100 (8); phi_u0_deg 0..90 (8)
+          axes    reset_count (7); reset_cycle_s (8); phi_u0_deg (8)
           method  kalman5
           length  900 s at 100 Hz
     """
@@ -89,7 +86,7 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
         >>> sinsjax.study_from_dict(tables, "mine")
         Study mine
           runs    3 variants x 8 draws = 24 runs
-          axes    phi_u0_deg 1, 10, 30
+          axes    phi_u0_deg (3)
           method  kalman5
           length  60 s at 100 Hz
     """
@@ -185,9 +182,7 @@ def _check_tuning_points(study: Study) -> None:
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
-    corners = {
-        f"[tune.variables] {text}": point for text, point in search_space.corner_points(study)
-    }
+    corners = search_space.corner_points(study)
     for place, point in corners.items():
         build_point(place, point)
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)

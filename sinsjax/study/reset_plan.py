@@ -59,21 +59,17 @@ class ResetPlan(NamedTuple):
         velocity = float(f"{self.problem.velocity:.9g}")
         return {"reset_times_s": [*self.times_s], "reset_velocity_m_per_s": velocity}
 
-    @property
-    def facts(self) -> dict[str, str]:
-        """The plan in words, by heading."""
+    def __repr__(self) -> str:
+        """Return the plan in lines."""
         velocity = self.settings["reset_velocity_m_per_s"]
-        return {
+        facts = {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
             "set": f'schedule = "law", or these times with reset_velocity_m_per_s = {velocity:.4g}',
             "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
             f" {_format_time(self.settling_s)} (median run, predicted)",
             "without": _format_time(self.without_s),
         }
-
-    def __repr__(self) -> str:
-        """Return the plan in lines."""
-        return display.format_text("Reset schedule by the law", self.facts)
+        return display.format_text("Reset schedule by the law", facts)
 
 
 def _format_time(time_s: float) -> str:
@@ -136,14 +132,10 @@ def _plan_resets(study: Study, point: Mapping[str, Any]) -> ResetPlan:
 
 
 def describe_plans(study: Study) -> list[str]:
-    """Return the plans of a study for a terminal, of several filters or places a line each."""
-    plans = [(varying, _plan_resets(study, point)) for varying, point in iter_filters(study)]
-    if len(plans) == 1:
-        facts = plans[0][1].facts
-        return [f"{study.name}:", *(f"  {name:<7}  {text}" for name, text in facts.items())]
-    lines = [f"{study.name}: {len(plans)} filters or places; resets, and settling of a median run:"]
-    for point, plan in plans:
-        name = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
-        times = f"{_format_time(plan.settling_s)} (without: {_format_time(plan.without_s)})"
-        lines.append(f"  {name}: {plan.facts['resets']}; {times}")
+    """Return the plans of a study for a terminal, of each filter and place."""
+    lines = [f"{study.name}:"]
+    for varying, point in iter_filters(study):
+        if varying:
+            lines.append(", ".join(f"{key} {format_toml(value)}" for key, value in varying.items()))
+        lines += repr(_plan_resets(study, point)).splitlines()[1:]
     return lines

@@ -346,13 +346,11 @@ def _describe_unusual(info: KeyInfo, value: Any) -> str | None:
 def _check_drawn_values(study: Study) -> None:
     """Refuse draws that their key does not accept, and lists longer than the draws."""
     laws, found = study.drawn.laws if study.drawn else {}, dict[str, str]()
-    points = math.prod(len(law.grid) for law in laws.values() if law.grid)
     for key, law in laws.items():
-        name, needed = ("grid", points) if law.grid else ("values", len(law.values or ()))
-        if needed > study.n_draws:
+        if len(law.values or ()) > study.n_draws:
             draws = "start times" if study.is_recorded else "draws"
-            text = f"{needed} points are more than {study.n_draws} {draws}"
-            raise InputError(f"[drawn] {key}.{name}: {text} (drop some, or draw more)")
+            text = f"{len(law.values or ())} are more than {study.n_draws} {draws}"
+            raise InputError(f"[drawn] {key}.values: {text} (drop some, or draw more)")
 
         def problem_of(value: float, key: str = key) -> str | None:
             usual = None if study.study.unchecked else _describe_unusual(leaf_info(key), value)

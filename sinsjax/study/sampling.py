@@ -4,7 +4,6 @@ Every value is a function of the study's seed, of [drawn] and of the number of t
 sampling each key has a separate stream; Sobol points have one dimension per number of all keys.
 """
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -85,18 +84,12 @@ def _apply_distribution(law: Distribution, points: np.ndarray) -> np.ndarray:
 
 
 def _listed_values(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the entries of lists and grids in some draws, (draws, numbers) by key."""
-    grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
-    fastest = math.prod(grids.values())
+    """Return the entries of lists in some draws, (draws, numbers) by key."""
     rows_by_key = {}
     for key, law in laws.items():
-        if not (entries := law.values or law.grid):
-            continue
-        numbers = NUMBERS_DRAWN[key]
-        rows = np.stack([np.broadcast_to(np.asarray(v, float), numbers) for v in entries])
-        steps = 1
-        if law.grid:
-            fastest //= len(rows)
-            steps = fastest
-        rows_by_key[key] = rows[draws // steps % len(rows)]
+        if law.values:
+            numbers = (
+                np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in law.values
+            )
+            rows_by_key[key] = np.stack(list(numbers))[draws % len(law.values)]
     return rows_by_key

@@ -366,18 +366,9 @@ class SensorsSection(Section):
     accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
-_TEXT_KEYS = ("columns", "skip_rows")
-_COLUMN_KEYS = (
-    *("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit", "gyro_scale"),
-    *("accel_scale", "time_column", "time_unit", "time_scale", "time_fraction_column"),
-    *("time_fraction_unit", "max_gap_s", *_TEXT_KEYS),
-)
-_FIXED_KEYS = {
-    "psins": _COLUMN_KEYS,
-    "arrays": (*_COLUMN_KEYS, "axes_order", "mounting_deg"),
-    "parquet": _TEXT_KEYS,
-}
-"""Keys of [record] that do not apply to some formats."""
+_ALWAYS = ("format", "from_s", "to_s", "start_s", "gyro_bias_deg_per_h", "accel_bias_ug", "trust")
+_APPLYING_KEYS = {"psins": {*_ALWAYS, "axes_order", "mounting_deg"}, "arrays": {*_ALWAYS}}
+"""Keys of [record] that apply to formats that fix columns and units."""
 
 
 class RecordSection(Section):
@@ -477,8 +468,10 @@ class RecordSection(Section):
         if min(self.start_s) < begin:
             text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
             raise rule_error(text, key="start_s")
-        for key in _FIXED_KEYS.get(self.format, ()):
-            if getattr(self, key) != type(self).model_fields[key].default:
+        fields = type(self).model_fields
+        applying = _APPLYING_KEYS.get(self.format, fields.keys() - {"columns", "skip_rows"})
+        for key in fields if self.format != "csv" else ():
+            if key not in applying and getattr(self, key) != fields[key].default:
                 raise rule_error(f"does not apply to format '{self.format}' (drop it)", key=key)
         for key in ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit"):
             if names_columns and getattr(self, key) is None:
@@ -541,8 +534,6 @@ NUMBERS_DRAWN = {
 }
 """Keys that may be drawn, with the numbers per draw: one, or one per axis of a vector."""
 
-ListEntries = Annotated[tuple[Any, ...], Field(min_length=1)]
-
 
 class Distribution(Section):
     """Distribution of a drawn key; give exactly one of these keys.
@@ -552,9 +543,8 @@ class Distribution(Section):
 
     uniform: vt.IncreasingPair | None = field("[low, high]")
     normal: vt.Normal | None = field("[mean, standard deviation]")
-    values: ListEntries | None = field("one per draw, repeated from the first")
-    grid: ListEntries | None = field(
-        "grid values; the draws are the product of all grids, the last key fastest"
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = field(
+        "one per draw, repeated from the first"
     )
 
     @model_validator(mode="after")
@@ -574,8 +564,7 @@ class Distribution(Section):
         if self.uniform is not None:
             low, high = self.uniform
             return float(np.sqrt((low * low + low * high + high * high) / 3))
-        entries = self.values or self.grid or ()
-        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
+        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in self.values or ()])))
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -583,8 +572,7 @@ class Distribution(Section):
         if self.normal is not None:
             mean, deviation = self.normal
             return mean - 8.3 * deviation, mean + 8.3 * deviation
-        entries = self.uniform or self.values or self.grid or ()
-        numbers = [number for entry in entries for number in np.ravel(entry)]
+        numbers = [number for v in self.uniform or self.values or () for number in np.ravel(v)]
         return float(min(numbers)), float(max(numbers))
 
 

@@ -163,7 +163,7 @@ class Study(_SectionsOfMethods):
         variants = format_count(self.n_variants, "variant")
         draws = format_count(self.n_draws, "start time" if self.is_recorded else "draw")
         runs = f"{variants} x {draws} = {format_count(self.n_draws * self.n_variants, 'run')}"
-        axes = (display.describe_axis(keys, values) for keys, values in self.axes_shown.items())
+        axes = (f"{', '.join(keys)} ({len(values)})" for keys, values in self.axes_shown.items())
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
         several = len(self.methods) > 1
         return {
@@ -378,12 +378,8 @@ class Study(_SectionsOfMethods):
     def end(self) -> str:
         """The end of the study and of its shortest run, in words."""
         text = f"duration_s = {self.duration_s:.12g}"
-        whole_s = self.duration_s - self.dropped_s
-        if self.dropped_s:
-            text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
-        if self.run_s < whole_s * (1 - ROUNDING):
-            text += f"; the shortest run ends at {self.run_s:.12g} s"
-        return text
+        is_shorter = self.run_s < self.duration_s * (1 - ROUNDING)
+        return f"{text}; the shortest run ends at {self.run_s:.12g} s" if is_shorter else text
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""

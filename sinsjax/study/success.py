@@ -20,20 +20,13 @@ FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
 
 
 class SuccessCriteria(NamedTuple):
-    """The criteria of a run with status ``ok``.
+    """The criteria of a run with status ``ok``; a band is the half-width within which it ends."""
 
-    Attributes:
-        from_truth: whether the heading error is judged from the truth, not from the bias floor.
-        band_arcmin, level_band_arcmin: half-widths of the bands in which the errors end.
-        diverged_deg: final heading error beyond which a run has diverged.
-        dwell_s: time in the band before the end; None: the smaller of 30 s and a tenth of the run.
-    """
-
-    from_truth: bool
+    from_truth: bool  # whether the heading error is judged from the truth, not from the bias floor
     band_arcmin: float
     level_band_arcmin: float
-    diverged_deg: float
-    dwell_s: float | None
+    diverged_deg: float  # final heading error beyond which a run has diverged
+    dwell_s: float | None  # time in the band; None for the smaller of 30 s and a tenth of the run
 
     def dwell(self, run_s: ArrayLike) -> NDArray:
         """Return the time in the band that runs of some lengths (s) need, s."""
@@ -60,17 +53,11 @@ def settling_bands(study: Study) -> tuple[float, ...]:
 
 
 class SuccessMeasure(NamedTuple):
-    """A reference of success, the truth or the bias floor, with its columns of the summary.
-
-    Attributes:
-        description: a success in words: ``within 10' of true north``.
-        settle_column: column of the time at which a run entered the band for good.
-        ok_column: column of the successes.
-    """
+    """A reference of success, the truth or the bias floor, with its columns of the summary."""
 
     truth: bool
-    description: str
-    settle_column: str
+    description: str  # a success in words: within 10' of true north
+    settle_column: str  # of the time at which a run entered the band for good
     ok_column: str
     band_arcmin: float
 

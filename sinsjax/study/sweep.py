@@ -352,10 +352,9 @@ def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
 def _read_law(value: Any, key: str, place: str) -> Distribution:
     fields = Distribution.model_fields
     law: Distribution = _check(Distribution.model_validate, value, place, fields=fields)
-    for name in ("values", "grid"):
-        if entries := getattr(law, name):
-            entries = check_value(entries, key, f"{place}.{name}", many=tuple)
-            law = law.model_copy(update={name: entries})
+    if law.values:
+        entries = check_value(law.values, key, f"{place}.values", many=tuple)
+        law = law.model_copy(update={"values": entries})
     return law
 
 
@@ -389,8 +388,6 @@ def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
     kind = _type_of(key)
     entries = next((get_args(k) for k in _iter_types(kind) if get_origin(k) is tuple), ())
     if not isinstance(value, tuple):
-        if entries and isinstance(value, Mapping) and value.keys() & {"low", "high"}:
-            raise InputError(f"{place}: needs a list with one range per entry, not one range")
         return _check_range(value, kind, place)
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")

@@ -23,19 +23,13 @@ _MANY_TURNS_DEG = 720.0  # as many as some methods need
 
 
 class Turn(NamedTuple):
-    """One turn in whole samples.
+    """One turn in whole samples."""
 
-    Attributes:
-        begin: sample at which the ramp up begins.
-        length: samples from there to the beginning of the ramp down.
-        ramp: samples of a ramp.
-    """
-
-    begin: int
-    length: int
-    ramp: int
+    begin: int  # sample at which the ramp up begins
+    length: int  # samples from there to the beginning of the ramp down
+    ramp: int  # samples of a ramp
     angle_deg: float
-    rate_deg_per_s: float
+    rate_deg_per_s: float  # after the ramp
 
 
 class TurnError(ValueError):
@@ -118,15 +112,10 @@ def useless_methods(study: Study) -> Iterator[str]:
     for point in _turned_points(study, "method"):
         name, turning = point["method"], METHODS[point["method"]].turning
         turns = turns_in_samples(study.rate_hz, end_s, point)
-        is_few = _turned_deg(turns, end_s * study.rate_hz) < _MANY_TURNS_DEG
+        is_few = sum(abs(turn.angle_deg) for turn in turns) < _MANY_TURNS_DEG
         if turning == "none" or (turning == "many" and is_few):
             useless[name] = " unless it makes many" if turning == "many" else ""
     good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
     for name, few in useless.items():
         text = f"{name} does not average gyro biases over the turns of a base{few} (use {good})"
         yield f"[alignment] method: {text}"
-
-
-def _turned_deg(turns: list[Turn], end: float) -> float:
-    """Return the sum of the magnitudes of all angles turned by a sample."""
-    return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in turns)

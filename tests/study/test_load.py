@@ -49,7 +49,7 @@ DRAWN: dict[str, Any] = {
     "vn0_m_per_s": {"uniform": [0, 1]},
     "accel_bias_ug": {"normal": [0, 1]},
     "gyro_arw_deg_per_sqrt_h": {"values": [0, [1, 2, 3], 0]},
-    "phi_u0_deg": {"grid": [3, 2, 1]},
+    "phi_u0_deg": {"values": [3, 2, 1]},
 }
 TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0}
 
@@ -271,7 +271,7 @@ def test_fingerprint_changes_with_any_value():
     axes = {"reset_count": [0, 1], "misalignment": ["vector", "euler"]}
     base = merge_tables(SIMULATED, resets={"reset_cycle_s": 50}, axes=axes)
     drawn = [DRAWN, dict(reversed(DRAWN.items())), {"phi_u0_deg": {"values": [0]}}]
-    laws = ({"uniform": [0, 2]}, {"normal": [0, 1]}, {"values": [3, 2, 1]}, {"grid": [3, 2, 1]})
+    laws = ({"uniform": [0, 2]}, {"normal": [0, 1]}, {"values": [3, 2, 1]})
     drawn += [DRAWN | {"vn0_m_per_s": law} for law in laws] + [DRAWN | {"sampling": "random"}]
     level = {"phi_u0_deg": [0, 1]}, {"phi_e0_deg": [0, 1]}
     other: list[dict[str, Any]] = [
