@@ -1,8 +1,7 @@
 """Changes to a study by key: ``--set`` of the command line, and `Study.replace`.
 
-A changed key replaces every value of that key in the study, also an axis, a key of the cases or a
-drawn key, and the alternatives to it. An empty table as the value drops a section, an axis or a
-drawn key.
+A changed key replaces every value of that key, also an axis, a key of the cases or a drawn key, and
+the alternatives to it. An empty table as the value drops a section, an axis or a drawn key.
 """
 
 import re

@@ -1,8 +1,4 @@
-"""What a key means that a study, or one of its cases, leaves out.
-
-Most defaults are those of the fields. Those here depend on other keys, or on whether the study is
-recorded.
-"""
+"""What a key means that a study, or one of its cases, leaves out, if other keys decide it."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple

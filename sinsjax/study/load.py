@@ -1,9 +1,7 @@
 """Reading and writing studies: one TOML file, checked in full before anything runs.
 
-A file either gives a `Study` or raises `InputError` with a line for each of its mistakes that the
-first stage with any finds, ``FILE: [section] key: what is wrong (way on)``. The stages are names of
-sections and keys, values, rules (see `rules`), and points of [tune]. `sweep` reads the tables that
-vary a study. Values stay in the units of the file.
+A file either gives a `Study` or raises `InputError` with a line for each mistake that the first
+stage with any finds: names of sections and keys, values, rules (see `rules`), points of [tune].
 """
 
 from collections.abc import Mapping

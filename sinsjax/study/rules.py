@@ -1,11 +1,8 @@
 """The rules between the keys of a study, checked before anything runs; the end lists them.
 
-A rule is a function that refuses a study with ``[section] key: what is wrong (way on)``.
-Rules hold for every variant, and are checked over the distinct combinations of the values of their
-keys: a sweep of a million variants costs no more than its axes.
-
-The usual ranges of numbers are part of their keys, see `value_types.KeyInfo`, and generous: a value
-outside is most likely a mistake or in another unit. ``[study] unchecked = true`` accepts it.
+A rule is a function that refuses a study with ``[section] key: what is wrong (way on)``, over the
+distinct combinations of the values of its keys: a sweep of a million variants costs no more than
+its axes. Usual ranges of numbers are part of their keys, see `value_types.KeyInfo`.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""The values of drawn keys per draw, independent of the number of draws and of their blocks.
+"""The values of drawn keys per draw, functions of the seed, of [drawn] and of the draw's number.
 
-Every value is a function of the study's seed, of [drawn] and of the number of the draw. With random
-sampling each key has a separate stream; Sobol points have one dimension per number of all keys.
+With random sampling each key has a separate stream; Sobol points have one dimension per number of
+all keys.
 """
 
 from collections.abc import Iterable

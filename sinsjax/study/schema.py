@@ -1,8 +1,7 @@
 """The sections of a study file: one frozen model per section, one field per key.
 
-Values stay in the units of the file, which the names of keys state. Leaf keys are unique over all
-sections, so a key alone names an axis and a result column. Rules within one section are here, rules
-between sections in `rules`. The methods have sections of their own, see `methods.registry`.
+Values stay in the units of the file. Leaf keys are unique over all sections, so a key alone names
+an axis and a result column. Rules within one section are here, those between sections in `rules`.
 """
 
 from functools import cache

@@ -1,8 +1,7 @@
 """The variables of a tuning, and the points that they span.
 
-A *box point* has a position in [0, 1] for each free variable, in the order of the file; each entry
-of a list is a variable. Its *values* are in the units of the file. A *point* is the table of keys
-with these values and one combination of all candidates, for a copy of the study.
+A *box point* has a position in [0, 1] for each free variable, its *values* are in the units of the
+file, and a *point* is the table of keys with these values and one combination of all candidates.
 """
 
 import math

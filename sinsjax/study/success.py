@@ -1,8 +1,7 @@
 """The success of an alignment: the reference of its heading, and the criteria that it must meet.
 
-There are two separate questions. Does the filter converge? That is judged from the bias floor, the
-heading error that the constant sensor biases of the run leave. Does the vehicle know its heading?
-That is judged from the truth: true north, or the reference of a record.
+Whether a filter converges is judged from the bias floor, whether the vehicle knows its heading from
+the truth: true north, or the reference of a record.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,7 @@
 """Reading the tables that vary a study: [axes] with their zips, [[cases]], [drawn], [tune].
 
-Every value is checked as a value of its key. Errors name all wrong values by their index, from 0:
-``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``,
-``[tune.variables] reset_times_s[1].low``.
+Every value is checked as a value of its key. Errors name wrong values by their index, from 0:
+``[axes.level] phi_e0_deg[0]``, ``[tune.variables] reset_times_s[1].low``.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence

@@ -19,14 +19,12 @@ class Variants:
     """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
-        study: the study.
         ids: (variants,) numbers of the variants in the study.
-        record_interval_s: time between two record times, s.
-        run_s: length of the shortest run, s.
-        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
-        site: `methods.method.Site` of these variants; for params only.
-        micro_g: the micro-g that the study counts in, m/s^2; for params only.
-        combinations, given_combinations, given_in, has, refuse: those of the study.
+        site, micro_g: `methods.method.Site`, and the micro-g that the study counts in, m/s^2; for
+            params only.
+        record_interval_s, run_s: time between two record times, length of the shortest run, s.
+
+    Its other attributes are those of the study.
     """
 
     def __init__(
