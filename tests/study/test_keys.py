@@ -276,25 +276,6 @@ def test_tuned_key_that_no_method_reads_is_refused(load):
     assert load(template | {"resets": {"reset_kind": "yaw"}})[1] == []
 
 
-SHIPPED = {**files.shipped_studies(), **files.template_files()}
-REASONS = (
-    r"repeats|does not apply to method|a record does not give the noise of its"
-    r"|required with a record|'law' holds for|reads a record once|needs no coarse alignment"
-)
-
-
-@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test"))
-@pytest.mark.parametrize("name", SHIPPED)
-def test_method_of_shipped_study_can_be_changed_or_a_line_tells_why_not(name):
-    study = load_study(SHIPPED[name])
-    for method in METHODS:
-        try:
-            assert study.replace({"alignment.method": method}).methods == (method,)
-        except InputError as error:
-            assert all(re.search(REASONS, line) for line in error.lines), str(error)
-            assert method not in study.methods or "repeats" in str(error)
-
-
 def test_functions_of_python_warn_of_keys_without_effect():
     study = small_study(
         study={"draws": 1, "success_band_arcmin": 5000.0}, alignment={"method": "inertial"}

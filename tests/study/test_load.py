@@ -25,6 +25,7 @@ from support.studies import small_study, with_paper_values
 import sinsjax
 from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.study import files
+from sinsjax.study.changes import apply_changes, parse_changes
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml, with_rate
 
@@ -205,8 +206,26 @@ def test_changed_key_replaces_its_alternative():
     study = small_study(resets={"reset_count": 2, "reset_cycle_s": 2.0})
     changed = study.replace({"resets.reset_times_s": [1.5]})
     assert [*map(tuple, changed.reset_times())] == [(1.5,)]
-    back = changed.replace({"resets.reset_count": 1, "resets.reset_first_s": 3.0})
-    assert [*map(tuple, back.reset_times())] == [(3.0,)]
+    both = {"sensors.gyro_noise_deg_per_h": 1.0, "sensors.gyro_arw_deg_per_sqrt_h": 1.0}
+    with pytest.raises(InputError, match=r"gyro_arw.* conflicts with sensors.gyro_noise"):
+        study.replace(both)
+
+
+@pytest.mark.parametrize(
+    ("change", "dropped"),
+    [
+        ("sensors.gyro_noise_deg_per_h=1", "[sensors] gyro_arw_deg_per_sqrt_h"),
+        ("axes.gyro_noise_deg_per_h=[1,2]", "[sensors] gyro_arw_deg_per_sqrt_h"),
+        ("resets.reset_times_s=[]", "[axes] reset_count"),
+        ("sensors.gyro_arw_deg_per_sqrt_h=1", ""),
+    ],
+)
+def test_set_option_names_other_keys_that_it_replaces(change, dropped, capsys):
+    tables = {"sensors": {"gyro_arw_deg_per_sqrt_h": 0.01}, "axes": {"reset_count": [1, 2]}}
+    for _ in range(2):  # a command may read its study twice
+        apply_changes(tables, parse_changes([change]))
+    line = f"Warning: --set {change.partition('=')[0]} replaces {dropped}.\n"
+    assert capsys.readouterr().err == (line if dropped else "")
 
 
 PASSES = {"stored_s": 80, "ending": "forward", "turn": "velocity"}
