@@ -286,17 +286,15 @@ def test_fingerprint_ignores_names_key_order_and_explicit_defaults():
     assert fingerprint(build_study(axes=one)) == fingerprint(build_study(axes=other))
 
 
-def test_fingerprint_changes_with_any_value():
+def test_fingerprint_changes_with_what_varies():
     axes = {"reset_count": [0, 1], "misalignment": ["vector", "euler"]}
     base = merge_tables(SIMULATED, resets={"reset_cycle_s": 50}, axes=axes)
     drawn = [DRAWN, dict(reversed(DRAWN.items())), {"phi_u0_deg": {"values": [0]}}]
     laws = ({"uniform": [0, 2]}, {"normal": [0, 1]}, {"values": [3, 2, 1]})
-    drawn += [DRAWN | {"vn0_m_per_s": law} for law in laws] + [DRAWN | {"sampling": "random"}]
+    drawn += [DRAWN | {"vn0_m_per_s": law} for law in laws]
     level = {"phi_u0_deg": [0, 1]}, {"phi_e0_deg": [0, 1]}
     other: list[dict[str, Any]] = [
         {},
-        {"earth": {"latitude_deg": 32.000001}},
-        {"sensors": {"gyro_bias_deg_per_h": [0.1, 0, -0.2]}},
         {"axes": {"reset_count": [1, 0]}},
         *({"cases": [{"case": "a", "phi_u0_deg": value}]} for value in (30, 31)),
         *({"drawn": table} for table in drawn),
@@ -304,9 +302,6 @@ def test_fingerprint_changes_with_any_value():
         {"axes": {"a": level[0], "b": level[1]}},
         {"axes": {"b": level[1], "a": level[0]}},
         {"axes": level[0] | level[1]},
-        {"resets": {"reset_first_s": 25}},
-        {"stop_when": {"statistic": "success_rate", "half_width": 0.02}},
-        {"stop_when": {"statistic": "success_rate", "half_width": 0.03}},
     ]
     studies = [build_study(base, **tables) for tables in other]
     studies += [build_study(base | {"axes": reversed_keys(axes)})]  # which numbers the variants
