@@ -1,34 +1,30 @@
 """The sections of a study that an alignment reads, whatever its method."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, WrapValidator
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from sinsjax import value_types as vt
-from sinsjax.messages import explain_error
-from sinsjax.methods.registry import BROKEN, METHODS, external_names
+from sinsjax.messages import suggest_closest
+from sinsjax.methods.registry import BROKEN, METHODS
 from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 
-def _check_method_name(name: Any, check: Any) -> Any:
-    """Return the name of a method, or raise an error with the known names."""
-    if isinstance(name, str) and name in BROKEN.keys() - METHODS.keys():
+def _check_method_name(name: str) -> str:
+    """Refuse the name of no method, or of one that cannot be used."""
+    if name in BROKEN.keys() - METHODS.keys():
         raise rule_error(f"{name!r} cannot be used: {BROKEN[name]}")
-    if isinstance(name, str) and external_names([name]):
-        return name
-    try:
-        return check(name)
-    except ValidationError as error:
-        raise rule_error(explain_error(error.errors()[0])) from None
+    if name not in METHODS:
+        *others, last = map(repr, METHODS)
+        text = f"must be {', '.join(others)} or {last}, not {name!r}"
+        raise rule_error(f"{text}{suggest_closest(name, METHODS)}")
+    return name
 
 
-if TYPE_CHECKING:
-    MethodName = str
-else:
-    MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
-
+_NAMES = WithJsonSchema({"enum": [*METHODS], "type": "string"})
+MethodName = Annotated[str, AfterValidator(_check_method_name), _NAMES]
 
 _METHODS = ", ".join(f'"{name}"' for name in METHODS)
 _ROTATE = "the three angles rotate the computed to the true attitude"
