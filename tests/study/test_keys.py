@@ -20,9 +20,8 @@ from support.batches import run_chunks
 from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
-import sinsjax
 from docs.studies import keys_page
-from sinsjax import InputError, StudyWarning, load_study, study_from_dict
+from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
@@ -274,13 +273,3 @@ def test_tuned_key_that_no_method_reads_is_refused(load):
     assert any("[tune.variables] p0_yaw_deg" in places(note) for note in notes)
     # A key acts if its condition is tuned.
     assert load(template | {"resets": {"reset_kind": "yaw"}})[1] == []
-
-
-def test_functions_of_python_warn_of_keys_without_effect():
-    study = small_study(
-        study={"draws": 1, "success_band_arcmin": 5000.0}, alignment={"method": "inertial"}
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", StudyWarning)  # which stops before the first run
-        with pytest.raises(StudyWarning, match="phi_u0_deg .*inertial"):
-            sinsjax.run(study)

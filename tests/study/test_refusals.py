@@ -3,8 +3,6 @@
 The places of the faults in tests/golden/bad_studies.toml are not repeated here.
 """
 
-from hypothesis import given
-from hypothesis import strategies as st
 from support.plain_studies import (
     COMPASS,
     RECORDED,
@@ -147,14 +145,6 @@ def test_all_missing_required_keys_are_listed():
     assert places == ["[earth]", "[motion]"]
     for stop, key in (({"half_width": 1}, "statistic"), ({"statistic": "x"}, "half_width")):
         assert_named(refusal_lines(stop_when=stop)[0], f"[stop_when] {key}", "required")
-
-
-@given(samples=st.floats(0.01, 900).filter(lambda x: 0.01 < x % 1 < 0.99), rate=st.floats(1, 1e4))
-def test_nearest_interval_that_is_suggested_is_accepted(samples, rate):
-    study = {"rate_hz": rate, "duration_s": 1e3, "record_interval_s": 1 / rate, "unchecked": True}
-    line = refusal_line(study=study, alignment={"feedback_interval_s": samples / rate})
-    for near in line.rsplit("nearest: ")[1].rstrip(")").split(" or "):
-        build_study(study=study, alignment={"feedback_interval_s": float(near)})
 
 
 def test_too_many_runs_are_refused():
