@@ -161,9 +161,11 @@ def corner_points(study: Study) -> dict[str, TomlTable]:
     space, points = SearchSpace.from_study(study), dict[str, TomlTable]()
     ends = {"with every range at its low end": 0.0, "with every range at its high end": 1.0}
     for combination in space.combinations:
+        several = combination.items() if len(space.combinations) > 1 else ()
+        chosen = "".join(f", {key} = {value!r}" for key, value in several)
         for name, position in (ends if space.variables else {"with these values": 0.0}).items():
             values = space.to_values([position] * len(space.variables))
-            points[f"[tune.variables] {name}"] = space.make_point(values, combination)
+            points[f"[tune.variables] {name}{chosen}"] = space.make_point(values, combination)
     return points
 
 
