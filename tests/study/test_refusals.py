@@ -105,8 +105,8 @@ drawn.accel_bias_ug.normal = [0, 1e9]        -> [drawn] accel_bias_ug: outside
 drawn.accel_bias_ug.values = [0, [0, 1e9, 0]]    -> [drawn] accel_bias_ug: outside
 tune = {variables.p0_yaw_deg = {low = 1.0, high = 1e6}, searches = ["grid"]}
     -> [tune.variables] with every range at its high end: p0_yaw_deg 1000000
-tune = {variables.p0_yaw_deg = {candidates = [1.0, 1e6]}, searches = ["grid"]}
-    -> [tune.variables] with these values: p0_yaw_deg 1000000
+tune = {variables.p0_yaw_deg = {candidates = [1e6, 1.0]}, searches = ["grid"]}
+    -> [tune.variables] with these values, p0_yaw_deg = 1000000.0: p0_yaw_deg 1000000
 """)
 def test_unusual_value_is_refused_unless_unchecked(refusal):
     refusal.check(refusal_line(**refusal.tables))
