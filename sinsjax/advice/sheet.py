@@ -15,13 +15,12 @@ from sinsjax.platform.assets import asset_path
 from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import SECTION_OF, TomlTable
-from sinsjax.study.load import study_from_dict
+from sinsjax.study.load import SHEET_TABLES, study_from_dict
 from sinsjax.study.schema import AdviseSection
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import correctable_errors
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
-SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 _SHEETS = "configs/imu"
 TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""

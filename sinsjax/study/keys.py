@@ -114,7 +114,8 @@ def unknown_key_error(key: str, known: Iterable[str]) -> str:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
     for names in (known, SECTION_OF):
         for close in get_close_matches(str(key), list(names), n=1):
-            return f"unknown key (did you mean {close} in [{SECTION_OF[close]}]?)"
+            section = f" in [{SECTION_OF[close]}]" if close in SECTION_OF else ""
+            return f"unknown key (did you mean {close}{section}?)"
     return "unknown key"
 
 

@@ -37,6 +37,9 @@ from sinsjax.study.sweep import (
     without_gone_settings,
 )
 
+SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
+"""Sections of a sheet, which `sinsjax.advise` reads."""
+
 
 def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = None) -> Study:
     """Read and check a study.
