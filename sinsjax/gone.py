@@ -10,6 +10,16 @@ LINE = MARK + " ({})"
 KEYS: dict[str, str] = {
     "study.check_linearity": "drop it, with estimate = 'covariance'",
     "study.estimate_samples": "drop it, with estimate = 'covariance'",
+    **dict.fromkeys(
+        ("compass.level_adjustment_s", "compass.azimuth_adjustment_s"),
+        "give the loop's sigma_per_s; `sinsjax gains` shows its period and settling time",
+    ),
+    **dict.fromkeys(
+        ("compass.adjustment_reading", "compass.adjustment_remainder"),
+        "drop it; `sinsjax gains` shows period and settling time of a sigma",
+    ),
+    "compass.level_passes": "use level_time_s",
+    "compass.sigma_passes": "use sigma_times_s",
     "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",
     "filter.turning_rate_deg_per_s": "drop it; on turned bases use method = 'gravity_fit'",
 }

@@ -21,7 +21,9 @@ def gain_tables(
         gravity: m/s^2.
         radius: of the Earth, m.
     """
-    from sinsjax.methods import compass_design as loops
+    import numpy as np
+
+    from sinsjax.methods import compass as loops
     from sinsjax.report.base import Table
 
     earth = {"gravity": gravity, "radius": radius}
@@ -34,13 +36,11 @@ def gain_tables(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _loop_row("level", level_sigma, damping, loops.roots(loops.level_matrix(level, **earth))),
-        _loop_row(
-            "azimuth",
-            azimuth_sigma,
-            damping,
-            loops.roots(loops.azimuth_matrix(azimuth, **earth)),
-        ),
+        _loop_row(name, sigma, damping, np.linalg.eigvals(matrix))
+        for name, sigma, matrix in (
+            ("level", level_sigma, loops.level_matrix(level, **earth)),
+            ("azimuth", azimuth_sigma, loops.azimuth_matrix(azimuth, **earth)),
+        )
     ]
     return [
         Table(

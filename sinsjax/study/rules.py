@@ -306,9 +306,8 @@ def _check_rules_of_methods(study: Study) -> None:
 
 def _check_times_within_runs(study: Study) -> None:
     """Refuse times after the end of all runs that use them; others of a sweep may be shorter."""
-    units = ("s", "pass") if study.passes else ("s",)
     sections = {name for name in SECTIONS if study.has(name)}
-    times = [key for key in KEYS.values() if key.info.time in units and key.section in sections]
+    times = [key for key in KEYS.values() if key.info.time and key.section in sections]
     _check_all([partial(_check_time_within_runs, study, key) for key in times])
 
 
@@ -318,11 +317,10 @@ def _check_time_within_runs(study: Study, key: Key) -> None:
     passes = PASS_KEYS if study.passes else ()
     for point in study.combinations(key.name, *key.depends_on, *passes):
         value, span = point[key.name], study.span(**{name: point[name] for name in passes})
-        last = value[-1] if isinstance(value, tuple) and value else value
-        is_filled_in = key.info.default is not None and last == key.info.default
-        if last in (None, ()) or is_filled_in or not has_effect(key.name, point):
+        time_s = value[-1] if isinstance(value, tuple) and value else value
+        is_filled_in = key.info.default is not None and time_s == key.info.default
+        if time_s in (None, ()) or is_filled_in or not has_effect(key.name, point):
             continue
-        time_s = last * span.pass_records * interval_s if key.info.time == "pass" else last
         latest[time_s] = max(latest.get(time_s, 0.0), span.records * interval_s)
     for time_s, end in latest.items():
         if time_s > end * (1 + ROUNDING):

@@ -27,7 +27,7 @@ from oracles.naive import (
     of_quaternion,
 )
 
-from sinsjax.methods import compass_design as design
+from sinsjax.methods import compass as design
 from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
 

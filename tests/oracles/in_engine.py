@@ -15,7 +15,7 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
 from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods import compass
-from sinsjax.methods.compass_design import AzimuthGains, LevelGains
+from sinsjax.methods.compass import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES

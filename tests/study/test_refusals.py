@@ -173,19 +173,14 @@ def test_too_many_runs_are_refused():
 @refused("""
 passes.stored_s = 80.5                       -> [passes] stored_s: 80.5 80 81
 axes = {stored_s = [80, 100], passes = [3, 10]}   -> [axes] passes: 10 100 1000
-compass = {sigma_factors = [2, 1], sigma_passes = [2]}       -> [compass] sigma_passes: stored_s
-compass = {sigma_factors = [2, 1], sigma_passes = [5]} & axes.passes = [1, 2]
-    & passes.stored_s = 80 -> [compass] sigma_passes: 400 160
-compass.level_passes = 1                     -> [compass] level_passes: stored_s
-compass.level_passes = 12 & passes.stored_s = 80    -> [compass] level_passes: 960 900
+compass = {sigma_factors = [2, 1], sigma_times_s = [400]} & axes.passes = [1, 2]
+    & passes.stored_s = 80 -> [compass] sigma_times_s: 400 160
 compass.azimuth_damping = 0.6 & axes.azimuth_gains = [[1.0, 2.0, 3.0, 4.0]]
     -> [compass] azimuth_damping: azimuth_gains
 axes = {level_gains = [[1.0, 2.0, 3.0]], level_damping = [0.6, 0.7]}
     -> [axes] level_damping: level_gains
-compass = {azimuth_gains = [1, 2, 3, 4], azimuth_adjustment_s = 1.0}
-    -> [compass] azimuth_gains: azimuth_adjustment_s [compass]
-compass = {level_passes = 1, level_time_s = 1.0} & passes.stored_s = 80
-    -> [compass] level_passes: level_time_s [compass]
+compass = {azimuth_gains = [1, 2, 3, 4], azimuth_sigma_per_s = 1.0}
+    -> [compass] azimuth_gains: azimuth_sigma_per_s [compass]
 axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
     -> [axes] sigma_times_s: 0 1
 """)
