@@ -59,15 +59,15 @@ cases = [{reset_kind = "full"}] & axes.zip.reset_kind = ["full"]      -> [cases]
 # Resets
 resets.reset_count = 1 & resets.reset_cycle_s = 50 & axes.reset_times_s = [[1], [2]]
     -> [axes] reset_times_s: reset_count [resets]
-resets.reset_cycle_s = 50 & axes.reset_count = [0, 19]    -> [axes] reset_count: 19 50 950 900
+resets.reset_cycle_s = 50 & axes.reset_count = [0, 19]    -> [axes] reset_count: 950 900
 resets.reset_count = 2 & resets.reset_cycle_s = 0.006     -> [resets] reset_cycle_s: 0.006 0.01
 axes.reset_times_s = [[], [50.0, 50.004]]    -> [axes] reset_times_s: 50.004 50 0.01
 resets.reset_count = 1 & axes.reset_first_s = [25, 901]   -> [axes] reset_first_s: 901 900
 resets = {reset_count = 3, reset_first_s = 101, reset_cycle_s = 400}
-    -> [resets] reset_cycle_s: 3 101 400 901 900
+    -> [resets] reset_cycle_s: 901 900
 axes = {reset_at_feedback = [false, true], feedback_interval_s = [1.0, 800.0]}
     & resets = {reset_count = 2, reset_cycle_s = 445.0}
-    -> [axes] reset_at_feedback: 890 1600 900
+    -> [axes] reset_at_feedback: 1600 900
 coarse.coarse_duration_s = 2.0 & alignment.feedback_interval_s = 1.5
     & resets = {reset_at_feedback = true, reset_times_s = [3.0]}
     -> [resets] reset_at_feedback: 2 1.5
