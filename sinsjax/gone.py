@@ -20,6 +20,7 @@ KEYS: dict[str, str] = {
     ),
     "compass.level_passes": "use level_time_s",
     "compass.sigma_passes": "use sigma_times_s",
+    "passes.direction": "drop it: every second pass is backward",
     "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",
     "filter.turning_rate_deg_per_s": "drop it; on turned bases use method = 'gravity_fit'",
 }

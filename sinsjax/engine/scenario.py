@@ -217,7 +217,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     blocks = (0, 0)
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
-    reverses = study.passes is not None and not span.rewinds
+    reverses = study.passes is not None
     keeps = simulated and reverses and keys.is_active(*keys_acting_as("process", "quantum"))
     return ProgramSpec(
         method,
@@ -237,7 +237,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
         distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
         sways=simulated and _moves(keys),
         kept=_samples_read(study) if keeps else 0,
-        passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
+        reverses=reverses,
         coarse=_coarse_stage(study, keys),
     )
 

@@ -386,7 +386,7 @@ def build(options: Options) -> Program:
         step=step,
         attitude=lambda state: state.nav.q,
         floor=_bias_floor,
-        passes=Passes(reverse=_reverse, rewind=_rewind),
+        passes=Passes(_reverse),
     )
 
 
@@ -398,13 +398,6 @@ def _init(params: LoopParams, nav: Navigation) -> LoopState:
 def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
     once = low.once + share * (value - low.once)
     return LowPassed(once, low.twice + share * (once - low.twice))
-
-
-def _rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
-    """Start again, but keep levelling integrals and azimuth rate, which balance gyro drift."""
-    return _init(params, nav)._replace(
-        integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
-    )
 
 
 def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:

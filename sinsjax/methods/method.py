@@ -19,7 +19,7 @@ from sinsjax.methods import floors
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.earth import Earth, Place
-from sinsjax.types import Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Count, Flag, Navigation, Quat, Sample, Scalar
 from sinsjax.value_types import Section
 
 INITIAL_KEYS = (
@@ -139,19 +139,12 @@ class Passes(NamedTuple):
     Attributes:
         reverse: (params, site, state) -> state after a direction reversal; the site is that of the
             pass that ends.
-        rewind: (params, navigation, state) -> state that starts the record again, from its first
-            solution, propagated back from the state at its end; None if the method reads a
-            record once.
         begin_after: (first state, n) -> the same with sample n + 1 as its first; None if
             the state does not count samples.
-        gyro_bias: state -> estimated gyro bias in b, rad/s, which is removed from the stored
-            samples as the attitude is propagated back; None if the method estimates none.
     """
 
     reverse: Callable[[Any, Site, Any], Any]
-    rewind: Callable[[Any, Navigation, Any], Any] | None = None
     begin_after: Callable[[Any, Scalar], Any] | None = None
-    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 class BlockFit(NamedTuple):

@@ -12,23 +12,21 @@ from sinsjax.types import Navigation, Quat, Sample, Vec3
 
 
 def check_plugin(
-    name: str, program: Program, params: Any, variants: int, site: Any, *, passes: str = "once"
+    name: str, program: Program, params: Any, variants: int, site: Any, *, is_reversed: bool = False
 ) -> None:
     """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
     Its params, leaves (variants, ...), need one value per variant; the state after a sample must be
     like that of ``init``, attitude and covariance like those of one run at a `Site`; and a record
-    can be read repeatedly ("alternate" or "rewind") only with ``passes``.
+    can be read back and forth only with ``passes``.
 
     Raises:
         InputError: the first of these that fails; begins with the name, that of the method.
     """
     if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
         raise InputError(f"{name}: params must return one value per variant")
-    if passes != "once" and program.passes is None:
+    if is_reversed and program.passes is None:
         raise InputError(f"{name}: reads a stored record once (drop [passes])")
-    if passes == "rewind" and program.passes and program.passes.rewind is None:
-        raise InputError(f"{name}: cannot rewind a record (use direction = 'alternate')")
 
     def first_sample(params: Any, nav: Navigation, sample: Sample) -> dict[str, Any]:
         state = program.init(params, nav)

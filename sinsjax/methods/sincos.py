@@ -80,7 +80,6 @@ def build_filter(options: Options) -> Filter:
         covariance=_covariance,
         extra_results=_north_drift,
         shares_covariance=options.position == "fixed",
-        keep=_keep_amplitude,
     )
 
 
@@ -105,18 +104,8 @@ def transition(place: Place, dt: Scalar) -> Entries:
 def init_unknown_heading(params: FilterParams, nav: Navigation) -> FilterState:
     """Return the state of a filter without a heading; states after the versine start at zero."""
     state = initial_state(params, nav)
-    return _with_versine(state, 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
-
-
-def _keep_amplitude(first: FilterState, last: FilterState) -> FilterState:
-    """Keep sine and cosine as at a reset: the solution has their azimuth, they its amplitude."""
-    direction = _direction(last)
-    versine = jnp.where(direction.known, 1 - direction.amplitude, first.belief.x[VERSINE])
-    return _with_versine(first, versine)
-
-
-def _with_versine(state: FilterState, versine: Scalar) -> FilterState:
-    x = (*state.belief.x[:VERSINE], versine, *state.belief.x[VERSINE + 1 :])
+    x = state.belief.x
+    x = (*x[:VERSINE], 1.0 + x[VERSINE], *x[VERSINE + 1 :])  # mean zero of cos a
     return state._replace(belief=state.belief._replace(x=x))
 
 

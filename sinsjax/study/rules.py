@@ -163,7 +163,6 @@ def _check_passes(study: Study) -> None:
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
         record_s, passes = point["stored_s"], point["passes"]
-        rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
                 study.refuse("passes", f"{passes} passes need a stored record (give stored_s)")
@@ -174,7 +173,7 @@ def _check_passes(study: Study) -> None:
         if passes and passes * record_s > duration:
             text = f"{passes} passes of {record_s:.12g} s take {passes * record_s:.12g} s"
             study.refuse("passes", f"{text}, longer than a run ({study.end})")
-        if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
+        if passes and passes % 2 == 0 and point["ending"] == "forward":
             text = f"{passes} passes end backward, which ending = 'forward' excludes"
             study.refuse("passes", f"{text} (give an odd number)")
 

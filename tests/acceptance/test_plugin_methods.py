@@ -35,7 +35,7 @@ def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
     method = importlib.import_module("averaged_alignment.method").AVERAGED.build(Options(0.01))
     check_plugin("it", method, np.array([0.5]), 1, None)
     with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
-        check_plugin("it", method, np.array([0.5]), 1, None, passes="alternate")
+        check_plugin("it", method, np.array([0.5]), 1, None, is_reversed=True)
 
 
 @pytest.fixture(scope="module")

@@ -111,7 +111,7 @@ class Run:
             params = params._replace(trigger=trigger)
         options = Options(DT, filt.force, filt.position, self.trigger, innovations=True)
         here, start = site(self.planet, self.latitude), (PAPER1.matrix(0.0), self.phi, V0)
-        passes = {"records": self.count, "stored": self.stored, "rewinds": filt.turn == "rewind"}
+        passes = {"records": self.count, "stored": self.stored}
         state = follow(self.name, params, self.rows, here, start, options=options, **passes)
         results = METHODS[self.name].build(options).results(here, state)
         return state, *shown(self.name, options, state), results
@@ -176,10 +176,9 @@ SCHEDULES = {
     "three passes": PASSES | {"turn": "carried"},
     "three passes, P inflated": PASSES | {"turn": "inflated"},
     "three passes, P reset": PASSES | {"turn": "reset"},
-    "three passes, rewound": PASSES | {"turn": "rewind", "at_feedback": True},
 }
 FAST = (
-    *("kalman5-partial feedback, yaw resets", "kalman10-three passes, rewound"),
+    *("kalman5-partial feedback, yaw resets", "kalman10-three passes, P reset"),
     *("kalman_sincos-feedback every sample", "kalman_surge-three passes"),
     "invariant-resets restart feedback",
 )

@@ -167,15 +167,13 @@ def follow(
     records: int,
     every: int = 1,
     stored: int | None = None,
-    rewinds: bool = False,
 ) -> Any:
     """The state of a method at every record of one run of the engine, leaves (records, ...).
 
     The run starts from an attitude, off by a phi (rad), with a velocity (m/s). Its truth is not
-    known. A record of ``stored`` records is read forward and backward in turn, or is rewound.
+    known. A record of ``stored`` records is read forward and backward in turn.
     """
-    passes = "rewind" if rewinds else "alternate"
-    spec = ProgramSpec(name, options, every, records, curves=False, passes=passes)
+    spec = ProgramSpec(name, options, every, records, curves=False, reverses=True)
     environment = Environment(
         site=here,
         errors=sensors.error_free_sensors(),

@@ -173,9 +173,6 @@ class Filter(NamedTuple):
         correct: (state, sample) -> sample without the biases found; None if none are.
         extra_results: (site, state) -> `FilterResults.extra`.
         shares_covariance: see `Program`.
-        keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution.
-        gyro_bias: see `Passes`.
     """
 
     transition: Callable[[Any, Place, Vec3], Entries]
@@ -190,8 +187,6 @@ class Filter(NamedTuple):
     correct: Callable[[Any, Sample], Sample] | None = None
     extra_results: Callable[[Site, Any], Any] = lambda site, state: None
     shares_covariance: bool = False
-    keep: Callable[[Any, Any], Any] = lambda first, last: first
-    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) -> Program:
@@ -206,7 +201,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
-        passes=Passes(loop.reverse, loop.rewind, _begin_after, filter_.gyro_bias),
+        passes=Passes(loop.reverse, _begin_after),
     )
 
 
@@ -297,16 +292,6 @@ class _ClosedLoop(NamedTuple):
         p = schedules.reset_covariance(params.reversal, state.belief.p, params.p0, self.heading)
         state = state._replace(belief=state.belief._replace(p=p))
         return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
-
-    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
-        # All knowledge of the solution's errors is in the solution; P is that of a start.
-        first = self.filter.keep(self.filter.init(params, nav), state)
-        first = first._replace(
-            feedback_at=state.feedback_at,
-            innovations=state.innovations,
-            trigger_state=state.trigger_state,
-        )
-        return triggers.begin_pass(self.trigger, first, self.filter.misalignment(first))
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
