@@ -33,6 +33,7 @@ VALUES: dict[tuple[str, str], str] = {
     ("study.estimate", "covariance"): "drop it to run draws; a lower bound of the heading error"
     " is `sinsjax.information_bound`",
     **dict.fromkeys((("resets.reset_trigger", name) for name in _TRIGGERS), _TRIGGER),
+    ("coarse.coarse_method", "analytic"): "use 'inertial', which needs no rigid mount",
     ("tune.searches", "random"): "use 'sobol'",
     ("tune.searches", "covariance"): "use 'gradient' or 'sobol'",
 }

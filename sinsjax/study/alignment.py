@@ -139,10 +139,9 @@ class CoarseSection(Section):
         ),
     )
 
-    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(
-        "'inertial': rotation of gravity in inertial space, for a swaying base. 'analytic': mean"
-        " specific force and rate, for a base at rest; only to hand over a record. 'optimisation':"
-        " least squares of integrated velocities. 'none': only in a simulation",
+    coarse_method: Literal["inertial", "optimisation", "none"] = field(
+        "'inertial': rotation of gravity in inertial space. 'optimisation': least squares of"
+        " integrated velocities. 'none': only in a simulation",
         "inertial",
     )
     coarse_duration_s: vt.Seconds = field("duration", 60.0)

@@ -181,13 +181,9 @@ def _check_passes(study: Study) -> None:
 def _check_coarse_method(study: Study) -> None:
     """Refuse a method of coarse alignment with which no run can start."""
     for point in study.combinations(*COARSE_KEYS) if study.coarse else ():
-        method, _, then = (point[key] for key in COARSE_KEYS)
-        if study.is_recorded and method == "none":
+        if study.is_recorded and point["coarse_method"] == "none":
             text = "'none' needs an initial attitude, which a record does not give"
             study.refuse("coarse_method", f"{text} (use 'inertial')")
-        if method == "analytic" and study.has_coarse_stage(method, then):
-            text = "'analytic' can only hand over a record (use 'inertial')"
-            study.refuse("coarse_method", text)
 
 
 def _check_reset_law(study: Study) -> None:
