@@ -40,15 +40,10 @@ class InnovationSum(NamedTuple):
 
 
 class FilterResults(NamedTuple):
-    """Basis of a filter's own result columns; None for what it does not have.
-
-    Attributes:
-        extra: basis of the columns of this filter alone.
-    """
+    """Basis of the result columns of filters; None for what one does not have."""
 
     trigger_counts: triggers.TriggerCounts | None
     innovations: InnovationSum | None
-    extra: Any = None
 
 
 class FilterParams(NamedTuple):
@@ -171,7 +166,6 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
         correct: (state, sample) -> sample without the biases found; None if none are.
-        extra_results: (site, state) -> `FilterResults.extra`.
         shares_covariance: see `Program`.
     """
 
@@ -185,7 +179,6 @@ class Filter(NamedTuple):
     attitude: Callable[[Any], Quat] = corrected_attitude
     covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
     correct: Callable[[Any, Sample], Sample] | None = None
-    extra_results: Callable[[Site, Any], Any] = lambda site, state: None
     shares_covariance: bool = False
 
 
@@ -295,7 +288,7 @@ class _ClosedLoop(NamedTuple):
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
-        return FilterResults(counts, state.innovations, self.filter.extra_results(site, state))
+        return FilterResults(counts, state.innovations)
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
