@@ -18,6 +18,7 @@ KEYS: dict[str, str] = {
         ("compass.adjustment_reading", "compass.adjustment_remainder"),
         "drop it; `sinsjax gains` shows period and settling time of a sigma",
     ),
+    "compass.allow_unstable": "drop it: runs of unstable loops have the status 'diverged'",
     "compass.level_passes": "use level_time_s",
     "compass.sigma_passes": "use sigma_times_s",
     "passes.direction": "drop it: every second pass is backward",

@@ -108,8 +108,8 @@ class Scenario:
             curves: whether curves are returned; None for what the study asks.
 
         Raises:
-            InputError: a record is missing or not needed, compass loops cannot be run, or double
-                precision cannot be enabled (`runtime.ensure_configured`).
+            InputError: a record is missing or not needed, or double precision cannot be enabled
+                (`runtime.ensure_configured`).
         """
         runtime.ensure_configured()
         study = study if isinstance(study, Study) else load_study(study)
@@ -121,13 +121,6 @@ class Scenario:
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))
-        for number in range(len(self.variant_ids)):
-            keys = self.keys(number)
-            if check := METHODS[keys.common("method")].check:
-                try:
-                    check(keys)
-                except InputError as error:
-                    raise error.with_source(study.name) from None
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""

@@ -6,11 +6,15 @@ Fig. 2, fourth order). The east channel levels throughout.
 
 Gains are designed from a decay rate sigma (> 0, 1/s) and a damping ratio xi (0 < xi <= 1): the
 complex roots are -sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport
-rate is part of the mechanisation; the loops add K2 times that rate, so they see (1 + K2)/R dV.
+rate is part of the mechanisation; the loops add K2 times that rate, so they see (1 + K2)/R dV, and
+their characteristic polynomials are, [P2] eqs (16) and (21),
+
+    s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3,    s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3.
+
+Nothing keeps given gains stable: runs of an unstable loop diverge.
 """
 
 import math
-from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
@@ -76,9 +80,6 @@ class CompassSection(Section):
     )
     sigma_times_s: Times = field(
         "start times of the later intervals of sigma_factors", (), whole="sample", time="s"
-    )
-    allow_unstable: bool = field(
-        "whether to run loops that are unstable, or too fast for the sample time", False
     )
 
 
@@ -159,52 +160,6 @@ def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
     return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
 
 
-def level_matrix(gains: LevelGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return A of the levelling loop, x' = A x, x = [dV, phi, I], [P2] Fig. 1.
-
-    I (rad/s) is K3 times the integral of dV. The coupling with the heading is left out. Its
-    characteristic polynomial is [P2] eq. (16), s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3.
-    """
-    k1, k2, k3 = gains
-    return _matrix([-k1, gravity, 0.0], [-(1 + k2) / radius, 0.0, -1.0], [k3, 0.0, 0.0])
-
-
-def azimuth_matrix(gains: AzimuthGains, *, gravity: Number, radius: Number) -> np.ndarray:
-    """Return A of the north channel, x' = A x, x = [dV_N, phi_E, omega_N phi_U, omega_N w_cU].
-
-    [P2] Fig. 2; omega_N phi_E in phi_U' is dropped, as in the characteristic polynomial, [P2] eq.
-    (21), s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3. A backward pass, with -omega_N, has the
-    same.
-    """
-    k1, k2, k3, k4 = gains
-    return _matrix(
-        [-k1, gravity, 0.0, 0.0],
-        [-(1 + k2) / radius, 0.0, -1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-        [k3, 0.0, 0.0, -k4],
-    )
-
-
-def is_stable(matrix: np.ndarray, dt: float) -> np.ndarray:
-    """Return whether a loop is stable when stepped with a sample time.
-
-    A step is forward Euler, but the velocity sees the mean tilt of the step:
-    dV += g (phi + phi' dt/2) dt - K1 dV dt. It is stable where every eigenvalue of the discrete
-    matrix (of `level_matrix` or `azimuth_matrix`, dt in s) lies inside the unit circle.
-    """
-    mean_tilt = matrix[..., :1, 1:2] * matrix[..., 1:2, :] / 2
-    stepped = matrix + dt * np.eye(matrix.shape[-1])[:, :1] * mean_tilt
-    # The eigenvalues of the step are 1 + dt z; from z, 1 is not rounded into them.
-    z = np.linalg.eigvals(stepped)
-    return np.asarray(np.all(2 * z.real + dt * np.abs(z) ** 2 < 0, -1))
-
-
-def _matrix(*rows: Sequence[Number]) -> np.ndarray:
-    """Return entries as a matrix on the last axes."""
-    entries = np.broadcast_arrays(*(entry for row in rows for entry in row))
-    return np.stack(entries, -1).astype(float).reshape(*entries[0].shape, len(rows), len(rows[0]))
-
-
 # Numbers of the loops
 
 
@@ -283,40 +238,18 @@ def gains(keys: StudyKeys, xp: Any) -> tuple[LevelGains, AzimuthGains]:
 
     For the north channel; on an ellipsoid the east one differs in its K2 by some 0.1 %.
     """
+    place = keys.site.place
+    earth = {"gravity": float(place.gravity), "radius": float(1 / place.curvature_n)}
 
     def of_loop(loop: str, design: Any) -> Any:
         sigma, damping = keys.column(f"{loop}_sigma_per_s"), keys.column(f"{loop}_damping")
-        designed = design(sigma, damping, **_earth(keys.site))
+        designed = design(sigma, damping, **earth)
         none = [math.nan] * len(designed)
         given = keys.compute(lambda found: none if found is None else found, f"{loop}_gains")
         rows = xp.where(xp.isnan(given), xp.stack(designed, axis=-1), given)
         return type(designed)(*rows.T)
 
     return of_loop("level", level_gains), of_loop("azimuth", azimuth_gains)
-
-
-def _earth(site: Site) -> dict[str, float]:
-    """Return gravity and radius, as the gains are designed with."""
-    return {"gravity": float(site.place.gravity), "radius": float(1 / site.place.curvature_n)}
-
-
-def check(keys: StudyKeys) -> None:
-    """Refuse loops that are unstable in steps of a sample, unless allowed; name the roots."""
-    refused = ~keys.compute(bool, "allow_unstable", dtype=bool)
-    earth, (level, azimuth) = _earth(keys.site), gains(keys, np)
-    azimuth = scale_azimuth_gains(azimuth, keys.compute(max, "sigma_factors"))
-    matrices = level_matrix(level, **earth), azimuth_matrix(azimuth, **earth)
-    for loop, matrix in zip(_LOOPS, matrices, strict=True):
-        for row in np.flatnonzero(refused & ~is_stable(matrix, 1 / keys.rate_hz)).tolist():
-            key = f"{loop}_gains" if keys.value(f"{loop}_gains", row) else f"{loop}_sigma_per_s"
-            value = keys.value(key, row)
-            shown = [*value] if isinstance(value, tuple) else value
-            factor = max(keys.value("sigma_factors", row)) if loop == "azimuth" else 1
-            scaled = f" with a sigma factor of {factor:g}" if factor != 1 else ""
-            found = ", ".join(f"{root:.4g}" for root in np.linalg.eigvals(matrix[row]))
-            text = f"{shown}{scaled} makes a loop that samples of {1 / keys.rate_hz:g} s cannot"
-            hint = "allow_unstable = true runs it"
-            keys.refuse(key, f"{text} keep stable, its roots are {found} 1/s ({hint})")
 
 
 # A run
@@ -444,7 +377,6 @@ COMPASS = Method(
     reads=("turn", "turn_smoothing_s"),
     build=build,
     params=params,
-    check=check,
     rules=(check_sigma_factors,),
     turning="none",
     step_s=5e-9,

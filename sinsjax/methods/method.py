@@ -267,7 +267,6 @@ class Method:
         without_effect: keys of its sections that change nothing.
         columns: its own result columns.
         rules: check the rules between its keys, see `StudyKeys.refuse`.
-        check: (`StudyKeys`) refuses numbers that cannot be run; None if all can.
         needs_start: whether it starts from an attitude and a velocity, and can read a record
             repeatedly; if not, the keys of a start change nothing.
         finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
@@ -292,7 +291,6 @@ class Method:
     without_effect: tuple[str, ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     rules: tuple[Callable[[StudyKeys], None], ...] = ()
-    check: Callable[[StudyKeys], None] | None = None
     needs_start: bool = True
     finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()

@@ -1,14 +1,12 @@
-"""The numbers of each method, from the units of a study; loops that are refused."""
+"""The numbers of each method, from the units of a study."""
 
 import copy
 from typing import Any
 
 import numpy as np
-import pytest
 from support.batches import batch_of
 from support.studies import with_paper_values
 
-from sinsjax.errors import InputError
 from sinsjax.methods import compass as design
 from sinsjax.study.load import study_from_dict
 
@@ -33,14 +31,6 @@ def numbers(**tables: Any) -> Any:
         data[name] = data.get(name, {}) | table if isinstance(table, dict) else table
     part = batch_of(study_from_dict(with_paper_values(data)))
     return part.params.method
-
-
-def refusal(**tables: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        numbers(**tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
-    return line
 
 
 def all_of(gains: Any) -> np.ndarray:
@@ -74,32 +64,3 @@ def test_compass_schedules_in_seconds_become_samples() -> None:
     np.testing.assert_array_equal(times.pace.samples, [[500, 750], [np.inf, np.inf]])
     # A piece that never begins has some value.
     np.testing.assert_array_equal(times.pace.values, [[4, 2, 1], [3, 1, 1]])
-
-
-# Loops that are refused
-
-
-def test_printed_level_gains_are_refused_with_their_roots() -> None:
-    start, _, roots = refusal(compass={"level_gains": PRINTED["level_gains"]}).partition(" are ")
-    assert start.startswith("some: [compass] level_gains: [0.06, 1040.33306122, 8.1632653e-05] ")
-    k1, k2, k3 = PRINTED["level_gains"]
-    found = np.roots([1, k1, (1 + k2) * G / R, G * k3])
-    shown = [complex(text) for text in roots.partition(" 1/s ")[0].split(", ")]
-    np.testing.assert_allclose(np.sort_complex(shown), np.sort_complex(found), rtol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("compass", "key"),
-    [
-        ({"level_gains": PRINTED["level_gains"]}, "level_gains"),
-        # Too fast for the sample time.
-        ({"level_sigma_per_s": 100.0}, "level_sigma_per_s"),
-        # The quickest piece decides.
-        ({"sigma_factors": [1.0, 1e4, 1.0], "sigma_times_s": [5.0, 6.0]}, "azimuth_sigma_per_s"),
-    ],
-)
-def test_loop_that_is_unstable_or_too_fast_is_refused_unless_allowed(
-    compass: dict[str, Any], key: str
-) -> None:
-    assert refusal(compass=compass).startswith(f"some: [compass] {key}: ")
-    assert numbers(compass=compass | {"allow_unstable": True})
