@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-from sinsjax.methods.filters.triggers import TRIGGERS
 from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
@@ -56,9 +55,6 @@ def render_methods_page() -> str:
     ]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
-    lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
-    lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
-    lines += [f"| `{name}` | {trigger.summary} |" for name, trigger in TRIGGERS.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -36,9 +36,8 @@ from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.method import (
     AttitudeCovariance,
     Program,
-    RunEnd,
     Site,
-    bias_floor,
+    earth_floor,
     unknown_covariance,
 )
 from sinsjax.methods.passes import PassReading
@@ -183,10 +182,11 @@ class RunFunctions(NamedTuple):
         """Return the bias floor at the end of the run; none if that of the method is not known."""
         number = (self.spec.intervals - 1) // self.environment.pass_intervals
         backward = self.spec.reverses & (number % 2 == 1)
-        end = RunEnd(float(self.spec.intervals * self.spec.interval_samples), backward)
+        last = float(self.spec.intervals * self.spec.interval_samples)
         if self.method.floor is None:
             biases = jax.tree.map(jnp.zeros_like, biases)
-        return (self.method.floor or bias_floor)(params.method, site.place, biases, end)
+        floor = self.method.floor or earth_floor
+        return floor(params.method, site.place, biases, last, backward)
 
     def start(self, params: RunParams, site: Site, q: Quat) -> Run:
         """Return the run before its first sample, from the attitude before its misalignment."""

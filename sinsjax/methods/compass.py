@@ -22,11 +22,11 @@ import numpy as np
 
 from sinsjax.maths import rotations
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.method import Method, Options, Passes, Program, RunEnd, Site, StudyKeys
+from sinsjax.methods.method import Method, Options, Passes, Program, Site, StudyKeys
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
 from sinsjax.value_types import (
     Bandwidth,
     Damping,
@@ -354,19 +354,21 @@ def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
     )
 
 
-def _bias_floor(params: LoopParams, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+def _bias_floor(
+    params: LoopParams, place: Place, biases: MeanBiases, n: Scalar, backward: Flag
+) -> BiasFloor:
     """Return the floor of biases attributed to the Earth, plus a lag, since K(s) leaks.
 
     The platform rate that cancels eps_U needs a constant north velocity, whose transport rate has
     the effect of the level rate of a heading error: (1 + K2) K4 eps_U / (R K3) of omega_N, which is
     2 eps_U/sigma for the gains of [P2] eq. (23). Its sign changes in a backward pass.
     """
-    gains = scale_azimuth_gains(params.azimuth, value_at(params.pace, end.n))
+    gains = scale_azimuth_gains(params.azimuth, value_at(params.pace, n))
     eps = biases.eps
     lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)
     lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
-    return bias_floor(place, biases, jnp.where(end.backward, lag, -lag))
+    return bias_floor(place, biases, jnp.where(backward, lag, -lag))
 
 
 COMPASS = Method(

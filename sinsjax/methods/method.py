@@ -75,15 +75,9 @@ class Options(NamedTuple):
 
 
 class AttitudeCovariance(NamedTuple):
-    """Covariance of the misalignment, upper triangle row by row; NaN for methods without one.
+    """Covariance of the misalignment about east, north and up, rad^2; NaN for methods without one.
 
-    Attributes:
-        ee: variance about east, rad^2.
-        en: covariance about east and north, rad^2.
-        eu: covariance about east and up, rad^2.
-        nn: variance about north, rad^2.
-        nu: covariance about north and up, rad^2.
-        uu: variance about up, that of the heading, rad^2.
+    Its upper triangle row by row: ``ee`` is the variance about east, ``uu`` that of the heading.
     """
 
     ee: Scalar
@@ -102,18 +96,6 @@ def unknown_covariance(like: Scalar) -> AttitudeCovariance:
     """Return NaN of the given number's type and shape, for a method without a covariance."""
     unknown = jnp.full_like(like, jnp.nan)
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
-
-
-class RunEnd(NamedTuple):
-    """The end of a run.
-
-    Attributes:
-        n: number of its last sample.
-        backward: whether the last sample is of a backward pass.
-    """
-
-    n: Scalar
-    backward: Flag
 
 
 class Feedback(NamedTuple):
@@ -171,7 +153,9 @@ def normalise_solution(state: Any) -> Any:
     return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
 
 
-def bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+def earth_floor(
+    params: Any, place: Place, biases: MeanBiases, n: Scalar, backward: Flag
+) -> BiasFloor:
     """Return the floor of a method that attributes the effect of constant biases to the Earth."""
     return floors.bias_floor(place, biases)
 
@@ -186,8 +170,9 @@ class Program(NamedTuple):
         attitude: state -> best attitude: the solution's with the estimated misalignment removed.
         normalise: state -> state with its quaternions scaled to unit length.
         covariance: state -> `AttitudeCovariance` of that attitude; None if the method has none.
-        floor: (params, place, biases, `RunEnd`) -> `BiasFloor` left by constant sensor biases; the
-            place is that of a forward pass. None if it is not known.
+        floor: (params, place, biases, n, backward) -> `BiasFloor` left by constant sensor biases
+            after the n-th sample, the last of a run, in a forward or backward pass; the place is
+            that of a forward pass. None if it is not known.
         results: (site, state) -> basis of the method's own result columns at the end of a run, see
             `OwnColumn`; None if the method has none.
         shares_covariance: whether the covariance depends on params and n alone, so that runs that
@@ -202,7 +187,7 @@ class Program(NamedTuple):
     attitude: Callable[[Any], Quat]
     normalise: Callable[[Any], Any] = normalise_solution
     covariance: Callable[[Any], AttitudeCovariance] | None = None
-    floor: Callable[[Any, Place, MeanBiases, RunEnd], BiasFloor] | None = bias_floor
+    floor: Callable[[Any, Place, MeanBiases, Scalar, Flag], BiasFloor] | None = earth_floor
     results: Callable[[Site, Any], Any] | None = None
     shares_covariance: bool = False
     feedback: Feedback | None = None

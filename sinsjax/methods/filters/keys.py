@@ -432,9 +432,8 @@ def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
         if (other := taken.setdefault(round(time * rate), reset)) is not reset:
             text = f"{reset} is at the sample of {other} (a sample is {1 / rate:.12g} s)"
             study.refuse(colliding, text)
-    if (
-        last := max(acting_reset_times(rate, *(point[key] for key in RESET_KEYS)), default=0)
-    ) > end_s:
+    last = max(acting_reset_times(rate, *(point[key] for key in RESET_KEYS)), default=0)
+    if last > end_s:
         text = f"delays a reset to the feedback at {last:.12g} s, after the end of the run"
         study.refuse("reset_at_feedback", f"{text} ({study.end})")
 
@@ -447,10 +446,6 @@ def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
     number = np.asarray(0.0 if counts is None else getattr(counts, which))
     return number if which == "count" else np.where(number > 0, number / rate_hz, np.nan)
-
-
-def _mean_nis(results: Any, rate_hz: float) -> NDArray:
-    return np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
 
 
 FILTER_COLUMNS = (
@@ -468,20 +463,15 @@ FILTER_COLUMNS = (
         )
         for which in ("first", "last")
     ),
-    *(
-        OwnColumn(column(name, meaning), value, applies_to=attrgetter("is_recorded"))
-        for name, meaning, value in (
-            (
-                "innovation_nis",
-                "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
-                _mean_nis,
-            ),
-            (
-                "innovation_freedom",
-                "degrees of freedom of their sum: 2 an update",
-                lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
-            ),
-        )
+    OwnColumn(
+        column("innovation_nis", "mean r' S^-1 r of the filter's velocity innovations r"),
+        lambda results, rate_hz: np.asarray(results.innovations.sum / results.innovations.count),
+        applies_to=attrgetter("is_recorded"),
+    ),
+    OwnColumn(
+        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
+        lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
+        applies_to=attrgetter("is_recorded"),
     ),
 )
 """Columns of triggers, and of innovations in a recorded study (a simulation has the truth to be

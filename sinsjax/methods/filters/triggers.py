@@ -84,12 +84,10 @@ class Trigger(NamedTuple):
     """A trigger.
 
     Attributes:
-        summary: condition of its resets, in half a line.
         start: P -> memory at the start and after a reset that leaves P.
         score: (params of the filter, memory, snapshot) -> memory and score.
     """
 
-    summary: str
     start: Callable[[Triangle], Any]
     score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
 
@@ -252,11 +250,7 @@ def _sine(angle: Scalar) -> Scalar:
 
 
 TRIGGERS = {
-    "innovation": Trigger(
-        "innovations summed over a window, normalised", _start_block, _score_innovation
-    ),
-    "linearisation": Trigger(
-        "P_UU below what a linear model can know", lambda p: p, _score_linearisation
-    ),
+    "innovation": Trigger(_start_block, _score_innovation),
+    "linearisation": Trigger(lambda p: p, _score_linearisation),
 }
 """All triggers by name; ``[resets] reset_trigger`` names one."""
