@@ -7,13 +7,13 @@ from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
 
 _RESETS_AND_FEEDBACK = (
-    "At a reset the whole estimate is fed back, then P is set anew; its effect depends on how soon"
-    " the next feedback follows. With `reset_restarts_feedback = true` the next feedback follows a"
-    " whole interval after a reset. With `reset_at_feedback = true` a reset waits for the next"
-    " feedback: two that wait for the same one are one, and the columns of the schedule give its"
-    " times as written. Both together act like the second alone; with feedback at every sample"
-    " neither has an effect, nor has either a gradient. After coarse alignment that hands over, the"
-    " clock starts with fine alignment."
+    "At a reset the whole estimate is fed back, then P is set anew; its effect depends on how "
+    "soon the next feedback follows. With `reset_restarts_feedback = true` the next feedback "
+    "follows a whole interval after a reset. With `reset_at_feedback = true` a scheduled reset "
+    "waits for the next feedback: two that wait for the same one are one, and the columns of "
+    "the schedule give its times as written. Both together act like the second alone; with "
+    "feedback at every sample neither has an effect, nor has either a gradient. After coarse "
+    "alignment that hands over, the clock starts with fine alignment."
 )
 
 _TURNING = (

@@ -171,7 +171,7 @@ class Clock:
     """When a filter feeds back and resets, told sample after sample from the ``first`` one on.
 
     Feedback comes ``every`` so many samples of a run, or of what follows a reset that ``restarts``
-    the clock; resets come when they are wanted, or wait for the feedback after that.
+    the clock; scheduled resets come in time, or wait for the feedback after that.
     """
 
     def __init__(self, filt, first=1):
@@ -181,9 +181,9 @@ class Clock:
     def look(self, k, called=False):
         """Whether feedback, and whether a reset is due after sample k, which may call for one."""
         feedback = (k - self.began) % self.filt.every == 0
-        self.waits = self.waits or called or k in self.filt.resets
-        reset = self.waits and (feedback or not self.filt.at_feedback)
-        self.waits = self.waits and not reset
+        self.waits = self.waits or k in self.filt.resets
+        scheduled = self.waits and (feedback or not self.filt.at_feedback)
+        self.waits, reset = self.waits and not scheduled, scheduled or called
         if reset and self.filt.restarts:
             self.began = k
         return feedback, reset

@@ -305,7 +305,7 @@ class ResetsSection(Section):
     reset_times_s: vt.Times | None = field(
         "times of scheduled resets; alternative to reset_count", whole="sample"
     )
-    reset_at_feedback: bool = field("whether a reset waits for the next feedback", False)
+    reset_at_feedback: bool = field("whether a scheduled reset waits for the next feedback", False)
     reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
     reset_kind: Literal["full", "yaw", "scale"] = field(
         "'full': variances become the values below, covariances zero. 'yaw': the same for heading"
