@@ -328,9 +328,4 @@ def _describe_end(error: Any) -> tuple[int, list[str]]:
         text = to_one_line(error.format_message()).rstrip(".")
         help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
         return 2, [f"error: {text[:1].lower()}{text[1:]}{help_}"]
-    from sinsjax.methods.plugins import describe_plugin_error
-
-    described = describe_plugin_error(error)
-    if described is None:
-        raise error
-    return 2, [f"error: {described}"]
+    raise error

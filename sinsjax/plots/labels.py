@@ -34,7 +34,6 @@ KEY_NAMES = {
     "r_velocity": "velocity noise in R",
     "stored": "length of the stored record",
     "passes": "number of passes",
-    "direction": "direction of passes",
     "turn_covariance": "P at a turn",
     "azimuth_sigma": "sigma of the azimuth loop",
     "level_sigma": "sigma of the level loop",
