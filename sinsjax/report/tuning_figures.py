@@ -55,7 +55,6 @@ def landscape_pictures(tuning: TuningResults) -> list[Picture]:
         ways,
         spots,
         f"Best: {words}",
-        grid_points=points if name == "grid" else None,
     )
     return [Picture("descent", f"{caption}.", figure)]
 

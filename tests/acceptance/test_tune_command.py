@@ -21,7 +21,6 @@ from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
-from sinsjax.plots import descents
 from sinsjax.records import write_psins
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
@@ -392,19 +391,3 @@ def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax: Comma
         assert set(read_summary(Path("out", name))["start_s"].to_pylist()) == starts
     tuned_study = load_study("out/tuned.toml")
     assert tuned_study.record is not None and len(tuned_study.record.start_s) == 3
-
-
-def test_descent_map_places_objective_at_grid_points() -> None:
-    sides = [descents.VariableAxis(f"x{i}", i == 1) for i in range(2)]
-    axes = np.linspace(1, 100, 4), np.geomspace(1, 100, 4)
-    values = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    scores = 10 * values[:, 0] + values[:, 1]
-    scores[0] = np.inf
-    points = descents.Points("time (s)", values, scores)
-    figure = descents.draw_descents(sides, points, [], [], "swing", grid_points=4)
-    (mesh,) = figure.axes[0].collections
-    shown = np.ma.masked_invalid(mesh.get_array()).reshape(4, 4)
-    assert shown.mask[0, 0] and shown.mask.sum() == 1
-    assert shown[0, 3] == pytest.approx(1000 + 1) and shown[3, 0] == pytest.approx(10 + 100)
-    corner = mesh.get_coordinates()[0, 0]
-    np.testing.assert_allclose(corner, [1 - 33 / 2, 100 ** (-1 / 6)])

@@ -77,25 +77,20 @@ def title_of(figure: Figure) -> str:
 # --- plot_map -----------------------------------------------------------------------------------
 
 
-def test_map_frames_cell_that_title_names():
-    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert title_of(figure) == "Soonest: 2 resets, every 10 s (180 s on average)"
+def test_map_frames_the_best_cell_in_every_panel_that_it_is_in():
+    best = {"reset_count": 2, "reset_cycle_s": 10.0}
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg", best=best)
     first, second = map_panels(figure)
     np.testing.assert_array_equal(shown(first), [[300, 300], [100, 200], [150, 180]])
-    assert [tick.get_text() for tick in first.get_yticklabels()] == ["none", "1", "2"]
+    assert [tick.get_text() for tick in first.get_yticklabels()] == ["0", "1", "2"]
     assert second.get_xlabel() == plots.axis_label("reset_cycle_s")
     assert np.ma.getmaskarray(shown(second))[0].all()  # never
-    assert first.get_title(loc="left").endswith("0 deg")
-    assert second.get_title(loc="left") == "30 deg"
-    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}  # 2 resets, every 10 s
-
-
-def test_map_title_names_best_choice_where_panels_are_choices():
-    table = run_table()
-    table = table.append_column("method", table["phi_u0_deg"].cast(pa.string()))
-    figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
-    assert title_of(figure) == "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
-    assert list(map(framed_cells, map_panels(figure))) == [{(-0.5, 0.5)}, set()]
+    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in (first, second)]
+    assert titles == [f"initial heading error {start} deg" for start in (0, 30)]
+    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}
+    best["phi_u0_deg"] = 30.0
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg", best=best)
+    assert list(map(framed_cells, map_panels(figure))) == [set(), {(-0.5, 1.5)}]
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
@@ -152,14 +147,10 @@ def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected
     assert has_significant_effect({"x": {"a": line}}) == expected
 
 
-def test_compare_states_best_value_of_choice_and_range_over_conditions():
+def test_compare_states_range_of_first_panel_by_default():
     table = run_table({point: time for point, time in SETTLE.items() if point[0]})
-    choice = title_of(
-        sinsjax.plot_compare(table, "reset_count", by=["reset_cycle_s", "phi_u0_deg"])
-    )
-    assert "1, time between resets 10 s" in choice and "(100 s)" in choice
-    over = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP, condition=True)
-    assert title_of(over).endswith(": 100 to 400 s")
+    figure = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP)
+    assert title_of(figure) == "Median time: 100 to 400 s"
 
 
 @pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])
@@ -287,7 +278,7 @@ def test_lines_without_heading_have_no_panel():
     assert title_of(figure) == "Heading error after 3 s: 3 arcmin"
 
 
-@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Pitch and roll")])
+@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Attitude")])
 def test_figure_without_any_heading_has_two_panels(truth, title):
     figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
     assert len(figure.axes) == 2 and title_of(figure).startswith(title)
