@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from itertools import islice
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.plots.labels import axis_label, describe_point, format_value
 from sinsjax.plots.style import (
     GREY,
-    LETTERS,
     add_legend_below,
+    add_title,
     line_colour,
     set_log_scale,
     with_style,
@@ -55,7 +54,7 @@ def plot_compare(
         statistics: statistics of `sinsjax.summarise` and the title of the panel of each, with its
             unit (shares become percent); by default the median times to the first band, the
             shares of success and the rms heading error at the end that the columns allow.
-        title: title of the figure; by default the range of the first panel.
+        title: title of the figure.
 
     Raises:
         InputError: no table, no runs, a missing column, or an unknown statistic.
@@ -147,10 +146,10 @@ def draw_along_axis(
         values: values of the key; words and lists are placed side by side.
         panels: by quantity, with its unit; infinite estimates are marked at the upper edge as
             *never*.
-        title: title of the figure; by default the range of the first panel.
+        title: title of the figure.
     """
     figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
-    figure.suptitle(fill(title or _range_title(panels), int(LETTERS * figure.get_figwidth())))
+    add_title(figure, title)
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     x = np.asarray(values, dtype=float) if numeric else np.arange(len(values))
@@ -190,14 +189,3 @@ def _draw_panel(axes: Axes, lines: Panel, x: NDArray, joined: str) -> None:
         if never.size:  # at the upper edge
             at: Any = {"transform": axes.get_xaxis_transform()}
             axes.plot(never, np.full(never.size, 0.97), "x", color=line_colour(i), **at)
-
-
-def _range_title(panels: Mapping[str, Panel]) -> str:
-    """Return the range of the first panel in words."""
-    name, panel = next(iter(panels.items()))
-    quantity, _, unit = name.partition(" (")
-    known = _values(panel)[np.isfinite(_values(panel))]
-    title = f"{quantity[:1].upper()}{quantity[1:]}"
-    if not known.size:
-        return title
-    return f"{title}: {known.min():.3g} to {known.max():.3g} {unit.partition(')')[0]}"

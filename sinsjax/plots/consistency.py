@@ -1,7 +1,6 @@
 """A filter's covariance against its actual errors: `sinsjax.plot_belief`."""
 
 from collections.abc import Sequence
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,8 @@ from sinsjax.errors import InputError
 from sinsjax.plots.labels import describe_point
 from sinsjax.plots.style import (
     GREY,
-    LETTERS,
     add_legend_below,
+    add_title,
     line_colour,
     set_log_scale,
     with_style,
@@ -90,7 +89,7 @@ def plot_belief(
     of_heading = " of the heading, from the bias floor:" if from_floor else ""
     mean = f"Mean NEES{of_heading} {' to '.join(words)}, where a consistent filter has {freedom}"
     figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(lines) - 3, 0)))
-    figure.suptitle(fill(title or mean, int(LETTERS * figure.get_figwidth())))
+    add_title(figure, title or mean)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
     shares = dict([*SHARE_COLUMNS.items()][from_floor:])
     for i, (label, (rows, nees)) in enumerate(lines.items()):
@@ -117,12 +116,9 @@ def plot_belief(
     for mark, of in zip(_MARKS, shares, strict=False):
         left.plot([], [], mark, color=GREY, label=f"share {of}")
     set_log_scale(left.xaxis, low, high)
-    error = (
-        "of the heading at the end, from the bias floor"
-        if from_floor
-        else "of the attitude at the end, from truth"
-    )
-    left.set(xlim=(low, high), ylim=(0, 1.02), ylabel="share of runs", xlabel=f"NEES {error}")
+    error = "heading from the bias floor" if from_floor else "attitude from truth"
+    left.set(xlim=(low, high), ylim=(0, 1.02), xlabel=f"NEES at the end, {error}")
+    left.set_ylabel("share of runs")
     right.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
     right.set(xlim=(-0.03, 1.03), yticks=[])
     right.set_ylim(len(lines) - 0.4, -0.6)  # room for the marks of the last, the name of the first

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from sinsjax.plots.style import (
     GREY,
-    LETTERS,
     add_colour_bar,
     add_legend_below,
+    add_title,
     colour_range,
     line_colour,
     set_log_scale,
@@ -72,7 +72,7 @@ def draw_descents(
     down = -(-len(pairs) // across)
     size = (8.4, 6.2) if len(pairs) == 1 else (1.4 + 3.3 * across, 1.5 + 3.0 * down)
     figure = Figure(figsize=size)
-    figure.suptitle(fill(title, int(LETTERS * size[0])))
+    add_title(figure, title)
     grid = figure.subplots(down, across, squeeze=False)
     for axes in grid.flat[len(pairs) :]:
         axes.set_visible(False)

@@ -60,15 +60,6 @@ def _describe_setting(key: str, value: Any) -> str:
     return format_value(value) if key == "case" else format_setting(key, format_value(value))
 
 
-def describe_axis_point(point: Mapping[str, Any]) -> str:
-    """Describe a point of some axes; of its schedule only the times, if it has them."""
-    if point.get("reset_times_s") is None:
-        return describe_point(point)
-    others = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
-    left = {key: value for key, value in point.items() if key not in others}
-    return describe_point({"reset_times_s": point["reset_times_s"]} | left)
-
-
 def describe_schedule(times_s: Sequence[float]) -> str:
     """A reset schedule in words: ``3 resets, every 50 s``."""
     if not times_s:

@@ -18,7 +18,7 @@ from sinsjax.analysis.grids import Grid, median_over_draws
 from sinsjax.analysis.tables import require_column, to_arrow_table, to_key_list
 from sinsjax.errors import InputError
 from sinsjax.plots.labels import axis_label, describe_point, format_value
-from sinsjax.plots.style import COLOURS, LETTERS, add_colour_bar, colour_range, with_style
+from sinsjax.plots.style import COLOURS, add_colour_bar, add_title, colour_range, with_style
 
 MAX_PANELS = 12
 """Panels of a figure at most."""
@@ -103,7 +103,7 @@ def plot_map(
     height = -(-len(points) // width)
     side = max(2.3, 7.2 / width)  # width of a panel, in; together as wide as the title
     figure = Figure(figsize=(side * width + 2.0, 3.0 * height + 1.3))
-    figure.suptitle(fill(title or statistic.name, int(LETTERS * figure.get_figwidth())))
+    add_title(figure, title or statistic.name)
     panels = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
     words = [format_value(place) for (place,) in across]
     turned = 90 if 0.085 * sum(map(len, words)) > 0.8 * side else 0

@@ -24,10 +24,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 GREY = "#8a8a8a"
 """Colour of annotations: reset times, bias floors, cells without a number."""
 
-LETTERS = 7
-"""Characters per inch in the title of a figure."""
-
-_SMALL = "#555555"
+_LETTERS = 7  # characters per inch in the title of a figure
 _CAP = 0.95  # quantile at which a colour scale ends, if the rest is far beyond it
 _FAR = 1.5  # times the range up to that quantile
 _LEVEL = 3  # of zlib; the default takes twice the time for 2 % less
@@ -36,18 +33,13 @@ _STRIP = 0.28  # height of the strip with the footer, in
 STYLE: Any = {
     "text.parse_math": False,  # names of studies may contain dollar signs
     "figure.dpi": 130,
-    "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     # On a slide a figure is 1.5 times as wide, so these become at least 16 points.
-    "font.size": 11.5,
+    "font.size": 11,
     "axes.titlesize": 12,
     "axes.titlelocation": "left",
-    "axes.labelsize": 11.5,
     "figure.titlesize": 14,
     "figure.titleweight": "bold",
-    "xtick.labelsize": 10.5,
-    "ytick.labelsize": 10.5,
-    "legend.fontsize": 11,
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -109,6 +101,11 @@ def set_log_scale(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def add_title(figure: Figure, title: str) -> None:
+    """Add the title of a figure, wrapped to its width."""
+    figure.suptitle(fill(title, int(_LETTERS * figure.get_figwidth())))
+
+
 def add_colour_bar(
     figure: Figure, axes: Any, image: ScalarMappable, label: str, values: NDArray
 ) -> None:
@@ -146,7 +143,7 @@ def render_png(figure: Figure, footer: str = "") -> bytes:
     """
     # A separate figure, unaffected by the layout, legend or title of the other one.
     strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
-    strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=_SMALL)
+    strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=COLOURS[-1])
     canvases = [FigureCanvasAgg(part) for part in ([figure, strip] if footer else [figure])]
     for canvas in canvases:
         canvas.draw()

@@ -147,12 +147,6 @@ def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected
     assert has_significant_effect({"x": {"a": line}}) == expected
 
 
-def test_compare_states_range_of_first_panel_by_default():
-    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
-    figure = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP)
-    assert title_of(figure) == "Median time: 100 to 400 s"
-
-
 @pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])
 def test_every_kind_of_axis_is_drawn(key):
     figure = sinsjax.plot_compare(run_table(), key, statistics={"settle_10_s_median": "time (s)"})
@@ -253,16 +247,16 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert reset.get_xdata()[0] == 1.0
     assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
     assert len(second.get_lines()) == 2  # neither resets nor a floor
-    assert title_of(figure).startswith("Heading error after 3 s: ")
 
 
-def test_sigma_of_level_is_dashed_on_both_sides_of_zero():
+def test_level_errors_have_panels_about_east_and_north():
     figure = sinsjax.plot_curves(curve_table([1]), level=True)
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        f"level error,\n{name} (arcmin)" for name in ("east", "north")
-    ]
-    dashed = [line for line in figure.axes[1].get_lines() if line.get_linestyle() == "--"]
-    assert sorted(line.get_ydata()[0] for line in dashed if len(line.get_ydata())) == [-101, 101]
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["run id 1, east", "run id 1, north"]
+    for axes in figure.axes:
+        error, sigma = axes.get_lines()
+        np.testing.assert_allclose(error.get_ydata(), [101, 102, 103])
+        assert sigma.get_linestyle() == "--"
 
 
 def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
@@ -275,18 +269,26 @@ def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
 def test_lines_without_heading_have_no_panel():
     figure = sinsjax.plot_curves(curve_table([0, 1], without_heading=[1]))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 0"]
-    assert title_of(figure) == "Heading error after 3 s: 3 arcmin"
+    assert title_of(figure) == "Heading error"
 
 
-@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Attitude")])
-def test_figure_without_any_heading_has_two_panels(truth, title):
+@pytest.mark.parametrize(("truth", "panels"), [(True, 4), (False, 2)])
+def test_figure_without_any_heading_shows_level_errors_or_pitch_and_roll(truth, panels):
     figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
-    assert len(figure.axes) == 2 and title_of(figure).startswith(title)
+    assert len(figure.axes) == panels and title_of(figure) == (
+        "Level error" if truth else "Attitude"
+    )
 
 
-def test_curves_of_other_runs_are_refused():
+def test_curves_of_other_runs_or_without_the_error_are_refused():
     with pytest.raises(InputError, match="no curves of these runs"):
         sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
+    curves, unknown = curve_table([0]), pa.nulls(3, pa.float64())
+    for axis in "en":
+        name = f"phi_{axis}_arcmin"
+        curves = curves.set_column(curves.column_names.index(name), name, unknown)
+    with pytest.raises(InputError, match="no level error of these runs"):
+        sinsjax.plot_curves(curves, level=True)
 
 
 def test_line_is_mean_and_band_of_95_percent_where_all_runs_have_values():
