@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -30,9 +30,6 @@ from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study import display
 from sinsjax.study.turns import DEFAULTS, useless_methods
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _SHARE = 0.95
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -226,17 +223,6 @@ class Advice:
             "warnings": list(self.warnings),
             "doubts": list(self.sheet.doubts),
         }
-
-    def plot(self) -> "Figure":
-        """Return a figure of the heading error over time with the budget's parts as areas."""
-        from sinsjax.plots.budget import plot_budget
-
-        shares = self.budget.variance / self.budget.variance.sum(axis=1, keepdims=True)
-        names = [SOURCES[name] for name in self.budget.sources]
-        rms = np.array([one.rms_arcmin for one in self.headings])
-        title = f"{self.name}: {SOURCES[self.dominant]} is {self.shares[self.dominant]:.0%}"
-        title += f" of the variance at {self.time_s:g} s"
-        return plot_budget(self.budget.times_s, rms, shares, names, self.time_s, title)
 
     def __repr__(self) -> str:
         """Return the main numbers; `sinsjax.advice.text.describe_advice` has all of them."""
