@@ -46,27 +46,31 @@ _QUATERNIONS = {
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        references: (runs, 3) misalignment of methods of sinsjax at the end of the same runs, rad;
-            NaN for runs that failed.
+        references: (methods, runs, 3) misalignment of methods of sinsjax at the end of the same
+            runs, rad; those of methods with a failed run are not used.
     """
-    phi = np.stack(_misalignments(q_true, given.attitude), axis=-1)
-    others = [(words, np.stack(_misalignments(q_true, q), axis=-1)) for words, q in _read(given)]
-    anchors = [(np.zeros(3), _LEAST, DEG)]  # phi that is expected, least error, still good
-    for reference in references:
-        if np.isfinite(reference).all():
-            anchors.append((reference, 0.0, max(DEG, 3 * _distance(reference, np.zeros(3)))))
+    whole = references[np.isfinite(references).all(axis=(1, 2))]
+    expected = np.concatenate([np.zeros((1, *references.shape[1:])), whole])  # first the truth
+
+    def distances(attitude: Quat) -> NDArray:
+        phi = np.stack(_misalignments(q_true, attitude), axis=-1)
+        return np.median(np.linalg.norm(phi - expected, axis=-1), axis=-1)
+
+    errors = distances(given.attitude)
+    good = np.maximum(DEG, 3 * np.median(np.linalg.norm(expected, axis=-1), axis=-1))
+    limits = np.minimum(_BETTER * errors, np.maximum(good, _MUCH_BETTER * errors))
+    is_suspect = errors > np.append(_LEAST, np.zeros(len(whole)))
     found = []
-    for anchor, least, good in anchors:
-        error = _distance(phi, anchor)
-        for words, reading in others:
-            now = _distance(reading, anchor)
-            if error > least and now <= min(_BETTER * error, max(good, _MUCH_BETTER * error)):
+    for words, attitude in _iter_readings(given):
+        pairs = zip(distances(attitude)[is_suspect], errors[is_suspect], strict=True)
+        for (now, error), limit in zip(pairs, limits[is_suspect], strict=True):
+            if now <= limit:
                 found.append((now / error * _SIMPLER ** (len(words) - 1), words, now, error))
     if not found:
         return None
@@ -77,19 +81,14 @@ def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str
     )
 
 
-def _distance(phi: NDArray, anchor: NDArray) -> float:
-    return float(np.median(np.linalg.norm(phi - anchor, axis=-1)))
-
-
-def _read(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
+def _iter_readings(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
     """Yield other readings of results: what they suppose, in words, and attitudes."""
-    angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
+    angles, units = given.values, {"": 1.0, "are the angles in radians": 1 / DEG}
     if given.has_quaternions:
+        angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
         for text, (order, sign) in _QUATERNIONS.items():
             values = given.values[:, order] * [1, sign, sign, sign]
             yield (text,), from_quaternion(values, given.frame)
-    else:
-        angles, units = given.values, units | {"are the angles in radians": 1 / DEG}
     for (unit, factor), (yaw, (sign, turn)) in product(units.items(), _YAWS.items()):
         if words := tuple(filter(None, (unit, yaw))):
             changed = factor * angles
