@@ -68,7 +68,7 @@ __version__ = runtime.package_version()
 
 # fmt: off
 __all__ = [
-    "Advice", "InputError", "ResetPlan", "Results", "Score", "Study", "StudyWarning",
+    "Advice", "InputError", "ResetPlan", "Results", "Study", "StudyWarning",
     "TuningResults", "TurnChoice", "advise", "align", "configure", "export_study", "info",
     "information_bound", "load_study", "load_increments", "one_run", "plan_turns",
     "plot_belief", "plot_compare", "plot_curves", "plot_map", "read_curves", "read_history",
