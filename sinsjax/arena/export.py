@@ -10,6 +10,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
@@ -20,7 +21,6 @@ from sinsjax.arena import given
 from sinsjax.arena.frames import FRAMES, to_angles, to_body_axes, to_quaternion
 from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.arena.simulated_record import simulated_records
-from sinsjax.engine.batch import Batch
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory, results_path
@@ -45,9 +45,6 @@ _INCREMENTS = (
     *("accel_x_m_per_s", "accel_y_m_per_s", "accel_z_m_per_s"),
 )
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-_STARTS = ("yaw_deg", "pitch_deg", "roll_deg", *_QUATERNION, "v_east_m_per_s", "v_north_m_per_s")
-"""Columns of the first solution, which runs without a start lack."""
-
 _SCHEMA = 1
 
 _README = """\
@@ -131,17 +128,17 @@ def export_study(
             out / README, _README.format(study=study.name, format=format, frame=frame).encode()
         ),
     ]
-    starts: dict[str, NDArray] = {}
+    starts = np.empty((9, *runs.run_id.shape))
     truths: dict[int, pa.Table] = {}
     for batch, condition in runs.batches():
-        for name, column in given.find_starts(batch).items():
-            whole = starts.setdefault(name, np.empty(runs.run_id.shape))
-            whole[:, condition] = column.reshape(study.n_draws, -1)
+        found = given.find_starts(batch)
+        columns = jax.tree.leaves(found[:-1])
+        starts[:, :, condition] = np.reshape(columns, (len(starts), study.n_draws, -1))
         environment = int(runs.environments[condition[0]])
         if environment in truths:
             continue
         names = [record_name(runs, format, environment, draw) for draw in range(study.n_draws)]
-        truths[environment] = _truth_table(batch, names, frame, study)
+        truths[environment] = _truth_table(found.truth, names, frame, study)
         records = simulated_records(batch, study.rate_hz, study.name)
         for name, record in zip(names, records, strict=True):
             files.append(_write_file(out / name, _record_content(record, format, frame)))
@@ -196,15 +193,17 @@ def record_name(runs: ProgramRuns, format: str, environment: int, draw: int) -> 
     return f"{RECORDS}/{number}draw_{draw:05d}{FORMATS[format]}"
 
 
-def initial_table(
-    runs: ProgramRuns, starts: dict[str, NDArray], format: str, frame: str
-) -> pa.Table:
-    """Return the initial solutions, one row per run, by run_id; starts are (draws, conditions)."""
-    starts = {name: column.ravel() for name, column in starts.items()}
-    attitude = Quat(*(starts[name] for name in _QUATERNION))
+def initial_table(runs: ProgramRuns, starts: NDArray, format: str, frame: str) -> pa.Table:
+    """Return the initial solutions, one row per run, by run_id.
+
+    Starts are the fields of `given.RunStarts`, (fields, draws, conditions).
+    """
+    *quaternion, east, north, latitude, height, gravity = starts.reshape(len(starts), -1)
+    attitude = Quat(*quaternion)
     pitch, roll, yaw = to_angles(attitude, frame).T / DEG
-    starts |= {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
-    starts |= dict(zip(_QUATERNION, to_quaternion(attitude, frame).T, strict=True))
+    first = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
+    first |= dict(zip(_QUATERNION, to_quaternion(attitude, frame).T, strict=True))
+    first |= {"v_east_m_per_s": east, "v_north_m_per_s": north}
     n_draws, source = len(runs.run_id), runs.source
     draw, variant = np.divmod(runs.run_id.ravel(), source.n_variants)
     known = np.tile(runs.has_start, n_draws)
@@ -215,10 +214,10 @@ def initial_table(
             "run_id": runs.run_id.ravel(),
             "draw_id": draw,
             "variant_id": variant,
-            **{name: np.where(known, starts[name] + 0.0, np.nan) for name in _STARTS},  # no -0
-            "latitude_deg": starts["latitude"] / DEG,
-            "height_m": starts["height_m"],
-            "gravity_m_per_s2": starts["gravity_m_per_s2"],
+            **{name: np.where(known, v + 0.0, np.nan) for name, v in first.items()},  # no -0
+            "latitude_deg": latitude / DEG,
+            "height_m": height,
+            "gravity_m_per_s2": gravity,
             "rate_hz": np.full(len(draw), float(source.rate_hz)),
             "start_s": np.zeros(len(draw)),
             "end_s": np.full(len(draw), runs.end_s),
@@ -239,9 +238,8 @@ def _record_content(record: Record, format: str, frame: str) -> bytes:
     return _to_parquet(table) if format == "parquet" else _to_csv(table)
 
 
-def _truth_table(batch: Batch, names: list[str], frame: str, study: Study) -> pa.Table:
+def _truth_table(truth: Quat, names: list[str], frame: str, study: Study) -> pa.Table:
     """Return the true attitudes at record times, one row per record and time."""
-    truth = given.true_attitudes_at_records(batch)
     angles = to_angles(Quat(*(part.T.ravel() for part in truth)), frame).T / DEG
     time_s = study.update_times(next(iter(study.distinct_spans)))
     columns: dict[str, Any] = {

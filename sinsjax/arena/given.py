@@ -62,17 +62,29 @@ class GivenAttitudes(NamedTuple):
         return jax.tree.map(lambda a: a[:, runs], self)
 
 
-def find_starts(batch: Batch) -> dict[str, NDArray]:
-    """Return the first solutions and the places of all runs of a batch, by draw and variant.
+class RunStarts(NamedTuple):
+    """The starts of all runs of a batch by draw and variant, leaves (runs,), and its truth.
 
-    Quaternions are misaligned, from b to n, velocities in m/s, and the latitude in rad.
+    Attributes:
+        attitude: misaligned, from b to n.
+        velocity: east and north, m/s.
+        latitude: rad.
+        height: m.
+        gravity: m/s^2.
+        truth: true attitudes of the draws at record times, leaves (intervals, draws).
     """
+
+    attitude: Quat
+    velocity: tuple[Array, Array]
+    latitude: Array
+    height: Array
+    gravity: Array
+    truth: Quat
+
+
+def find_starts(batch: Batch) -> RunStarts:
+    """Return the first solutions, the places and the true attitudes of the runs of a batch."""
     return _call(_find_starts, batch)
-
-
-def true_attitudes_at_records(batch: Batch) -> Quat:
-    """Return the true attitudes of the draws of a batch, leaves (intervals, draws)."""
-    return _call(_true_attitudes, batch)
 
 
 def judge(batch: Batch, given: GivenAttitudes) -> Outcome:
@@ -91,30 +103,16 @@ def _call(function: Callable, batch: Batch, *arguments: Any) -> Any:
 
 
 @partial(jax.jit, static_argnums=0)
-def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> dict[str, Array]:
+def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> RunStarts:
     runs = set_up(spec, environment, tile)
-    params, attitude = runs.params, runs.start().state.attitude
-    place = {
-        "latitude": runs.site.latitude,
-        "height_m": runs.site.earth.height,
-        "gravity_m_per_s2": runs.site.place.gravity,
-    }
-    return {
-        **{f"q_{axis}": part for axis, part in zip("wxyz", attitude, strict=True)},
-        "v_east_m_per_s": params.ve,
-        "v_north_m_per_s": params.vn,
-        **{name: jnp.broadcast_to(value, params.ve.shape) for name, value in place.items()},
-    }
-
-
-@partial(jax.jit, static_argnums=0)
-def _true_attitudes(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Quat:
-    runs = set_up(spec, environment, tile)
-    attitudes: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
+    truth: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
     turns = runs.sensors.housing_turns(spec.intervals)
-    if turns is None:
-        return attitudes
-    return multiply(attitudes, jax.tree.map(lambda a: a[1:], turns))
+    if turns is not None:
+        truth = multiply(truth, jax.tree.map(lambda a: a[1:], turns))
+    params, attitude = runs.params, runs.start().state.attitude
+    place = runs.site.latitude, runs.site.earth.height, runs.site.place.gravity
+    latitude, height, gravity = (jnp.broadcast_to(a, params.ve.shape) for a in place)
+    return RunStarts(attitude, (params.ve, params.vn), latitude, height, gravity, truth)
 
 
 @partial(jax.jit, static_argnums=0)

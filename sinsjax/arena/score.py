@@ -192,9 +192,8 @@ def _doubts(runs: ProgramRuns, given: GivenResults, own: pa.Table) -> Iterator[s
             " that is known of the settling time"
         )
     if len(at_end.run):
-        truth, methods = _true_attitudes_at_end(runs), _own_misalignments(runs, own)
-        reading = suspect(at_end, Quat(*truth[:, at_end.run]), methods[:, at_end.run])
-        if reading is not None:
+        truth, usual = _true_attitudes_at_end(runs), _usual_misalignments(runs, own)
+        if reading := suspect(at_end, Quat(*truth[:, at_end.run]), usual[at_end.run]):
             yield reading
 
 
@@ -202,21 +201,15 @@ def _true_attitudes_at_end(runs: ProgramRuns) -> NDArray:
     """Return the true attitudes at the end of all runs, (4, runs)."""
     truth = np.empty((4, *runs.run_id.shape))
     for batch, condition in runs.batches():
-        last = [part[-1] for part in engine.true_attitudes_at_records(batch)]
+        last = [part[-1] for part in engine.find_starts(batch).truth]
         truth[:, :, condition] = np.stack(last)[..., None]
     return truth.reshape(4, -1)
 
 
-def _own_misalignments(runs: ProgramRuns, own: pa.Table) -> NDArray:
-    """Return the misalignment at the end with each of the own methods, (methods, runs, 3), rad.
-
-    Of several settings of a method the first one counts; NaN if it lacks a condition.
-    """
-    source, methods = runs.source, runs.source.values("method")
+def _usual_misalignments(runs: ProgramRuns, own: pa.Table) -> NDArray:
+    """Return the median misalignment of the own methods at the end of each run, (runs, 3), rad."""
     phi = np.stack([numeric_column(own, f"phi_{axis}_arcmin") for axis in "enu"], axis=-1)
-    phi = phi.reshape(source.n_draws, -1, 3) * ARCMIN
-    found = np.full((len(source.methods), *runs.run_id.shape, 3), np.nan)
-    for variant in reversed(range(source.n_variants)):
-        method = source.methods.index(methods[variant])
-        found[method, :, runs.condition[variant]] = phi[:, variant]
-    return found.reshape(len(found), -1, 3)
+    phi = phi.reshape(runs.source.n_draws, -1, 3) * ARCMIN
+    conditions = range(len(runs.variants))
+    medians = [np.median(phi[:, runs.condition == k], axis=1) for k in conditions]
+    return np.stack(medians, axis=1).reshape(-1, 3)

@@ -2,8 +2,8 @@
 
 The results are read again with the yaw mirrored or turned by quarter turns, in radians, and with
 quaternions inverted or with their scalar last. Each reading is compared with the truth and with the
-methods of sinsjax on the same draws: their errors are mostly those of the same noise and biases, so
-that even the sign of a small error shows.
+median of sinsjax's methods on the same draws, whose errors are mostly those of the same noise and
+biases, so even the sign of a small error shows.
 """
 
 from collections.abc import Iterator
@@ -46,31 +46,21 @@ _QUATERNIONS = {
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, usual: NDArray) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        references: (methods, runs, 3) misalignment of methods of sinsjax at the end of the same
-            runs, rad; those of methods with a failed run are not used.
+        usual: (runs, 3) misalignment of sinsjax's methods there, rad; not used if one is NaN.
     """
-    whole = references[np.isfinite(references).all(axis=(1, 2))]
-    expected = np.concatenate([np.zeros((1, *references.shape[1:])), whole])  # first the truth
-
-    def distances(attitude: Quat) -> NDArray:
-        phi = np.stack(_misalignments(q_true, attitude), axis=-1)
-        return np.median(np.linalg.norm(phi - expected, axis=-1), axis=-1)
-
-    errors = distances(given.attitude)
-    good = np.maximum(DEG, 3 * np.median(np.linalg.norm(expected, axis=-1), axis=-1))
-    limits = np.minimum(_BETTER * errors, np.maximum(good, _MUCH_BETTER * errors))
-    is_suspect = errors > np.append(_LEAST, np.zeros(len(whole)))
+    expected = [np.zeros_like(usual), *([usual] if np.isfinite(usual).all() else [])]
     found = []
     for words, attitude in _iter_readings(given):
-        pairs = zip(distances(attitude)[is_suspect], errors[is_suspect], strict=True)
-        for (now, error), limit in zip(pairs, limits[is_suspect], strict=True):
-            if now <= limit:
+        for phi, least in zip(expected, (_LEAST, 0.0), strict=False):
+            error, now = (_distance(q_true, q, phi) for q in (given.attitude, attitude))
+            good = max(DEG, 3 * _norm(phi))
+            if error > least and now <= min(_BETTER * error, max(good, _MUCH_BETTER * error)):
                 found.append((now / error * _SIMPLER ** (len(words) - 1), words, now, error))
     if not found:
         return None
@@ -79,6 +69,15 @@ def suspect(given: GivenResults, q_true: Quat, references: NDArray) -> str | Non
         f"{' and '.join(words)}? Read so, the median distance from the expected attitude"
         f" is {now / ARCMIN:.3g} arcmin instead of {error / ARCMIN:.3g}"
     )
+
+
+def _distance(q_true: Quat, attitude: Quat, phi: NDArray) -> float:
+    """Return the median distance of misalignments from those that are expected, rad."""
+    return _norm(np.stack(_misalignments(q_true, attitude), axis=-1) - phi)
+
+
+def _norm(phi: NDArray) -> float:
+    return float(np.median(np.linalg.norm(phi, axis=-1)))
 
 
 def _iter_readings(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
