@@ -48,35 +48,28 @@ _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 _SCHEMA = 1
 
 _README = """\
-sinsjax export of the study {study!r}: format {format}, frame {frame}
+sinsjax export of the study {study!r}: format {format}, frame {frame} (docs/arena.md of sinsjax)
 
-initial.csv   one row per run to align: run_id (with gaps; do not renumber), draw_id, variant_id;
-              the first attitude, misaligned on purpose (nan: find it without one), and the velocity
-              that the program starts from; latitude, height, gravity; rate; end of the run in s;
-              the record in `file`, which several runs may share; the digest of the study.
-study.toml    the study: Earth ([earth]: rate and model), sensor noise and biases ([sensors], for Q
-              and P0), motion. Its true velocity is that of the motion: none on a still base.
-imu/          records: increments of gyros in rad and of accelerometers in m/s per sample (times
-              rate_hz: mean rates), time in s at the end of each sample. Format psins has no names
-              and the columns wx wy wz vx vy vz t.
-              Rotation vector of a sample: a + (a0 x a)/12, with the angles a of the sample and a0
-              of the one before; velocity: v + a x v/2 + a x (a x v)/6 + (a0 x v + v0 x a)/12.
-              Vibration is included: the unit integrates its own coning and sculling.
-frame enu     body x right, y front, z up (at rest z reads +g) to east, north, up; yaw
-              counter-clockwise from north, C_b^n = Rz(yaw) Rx(pitch) Ry(roll).
-frame ned     body x front, y right, z down (at rest z reads -g) to north, east, down; yaw
-              clockwise from north, C_b^n = Rz(yaw) Ry(pitch) Rx(roll).
-angles        deg; pitch is positive with the front up, roll with the right side down.
-quaternion    q_w q_x q_y q_z from body to navigation frame, scalar first.
-truth.parquet attitude at record times; keep it from your program.
+initial.csv    one row per run to align: run_id (with gaps; do not renumber), draw_id, variant_id;
+               the first attitude, misaligned on purpose (nan: find it without one), and velocity;
+               latitude, height, gravity; rate; end of the run, s; its record; digest of the study
+imu/           records: increments of gyros, rad, and of accelerometers, m/s, per sample (times
+               rate_hz: mean rates); time at the end of each sample, s. No coning or sculling is
+               corrected. Format psins: wx wy wz vx vy vz t, without names
+truth.parquet  true attitude at record times; keep it from your program
+study.toml     Earth, motion, and noise and biases of the sensors, for Q and P0
 
-Return one CSV or Parquet file with, for each run, a row at `end_s` (to half a sample) or a history,
-in the frame of the export:
-  study, run_id                   of initial.csv
-  time_s                          on the clock of the records
-  yaw_deg, pitch_deg, roll_deg    or q_w, q_x, q_y, q_z
-  sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg    optional, 1 sigma
-A run without a row at its end is a failure. Then: sinsjax score DIR results.csv --name my_filter
+frame enu      body x right, y front, z up (at rest z reads +g) to east, north, up; yaw
+               counter-clockwise from north, C_b^n = Rz(yaw) Rx(pitch) Ry(roll)
+frame ned      body x front, y right, z down (at rest z reads -g) to north, east, down; yaw
+               clockwise from north, C_b^n = Rz(yaw) Ry(pitch) Rx(roll)
+angles         deg; pitch is positive with the front up, roll with the right side down
+q_w q_x q_y q_z  from body to navigation frame, scalar first
+
+Return one CSV or Parquet file, in the frame of the export, with a row for each run at `end_s` (to
+half a sample) or a history. Columns: study and run_id, of initial.csv; time_s; yaw_deg, pitch_deg,
+roll_deg, or q_w, q_x, q_y, q_z; and if you like sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg. A
+run without a row at its end is a failure. Then: sinsjax score DIR results.csv --name my_filter
 """
 
 
@@ -122,11 +115,10 @@ def export_study(
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: is not empty (give another directory, or delete it)")
     make_folder(out / RECORDS)
+    readme = _README.format(study=study.name, format=format, frame=frame)
     files = [
         _write_file(out / STUDY, study_to_toml(runs.source).encode()),
-        _write_file(
-            out / README, _README.format(study=study.name, format=format, frame=frame).encode()
-        ),
+        _write_file(out / README, readme.encode()),
     ]
     starts = np.empty((9, *runs.run_id.shape))
     truths: dict[int, pa.Table] = {}
@@ -156,7 +148,7 @@ def export_study(
         "draws": [0, study.n_draws],
         "format": format,
         "frame": frame,
-        "files": {path.relative_to(out).as_posix(): _entry(path) for path in files},
+        "files": {path.relative_to(out).as_posix(): {"sha256": _digest(path)} for path in files},
     }
     _write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
     return out
@@ -177,8 +169,9 @@ def read_export(directory: Path) -> tuple[Study, str]:
     if manifest.get("schema") != _SCHEMA:
         raise InputError(f"{directory}: is an export of another version {again}")
     for name, entry in manifest["files"].items():
-        found = _entry(directory / name) if name != README else entry
-        if found != entry and (found or name in (STUDY, INITIAL)):  # others may be deleted
+        found = _digest(directory / name)
+        is_missed = found is not None or name in (STUDY, INITIAL)  # others may be deleted
+        if found != entry["sha256"] and name != README and is_missed:
             raise InputError(f"{directory / name}: has changed since it was exported {again}")
     study = load_study(directory / STUDY)
     if fingerprint(study) != manifest["digest"] or manifest["draws"] != [0, study.n_draws]:
@@ -271,10 +264,9 @@ def _write_file(path: Path, content: bytes) -> Path:
     return path
 
 
-def _entry(path: Path) -> dict[str, Any] | None:
-    """Return size and SHA-256 of a file; None if it is missing."""
+def _digest(path: Path) -> str | None:
+    """Return the SHA-256 of a file; None if it is missing."""
     try:
-        content = read_regular_file(path)
+        return hashlib.sha256(read_regular_file(path)).hexdigest()
     except FileNotFoundError:
         return None
-    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}

@@ -1,15 +1,6 @@
-"""Reading the results of a program outside sinsjax, one row per run and time.
+"""Reading the results of a program outside sinsjax: a row per run and time, with fixed columns.
 
-| column | meaning |
-| --- | --- |
-| ``study`` | digest of the exported study |
-| ``run_id`` | run of ``initial.csv`` |
-| ``time_s`` | on the clock of the records |
-| ``yaw_deg``, ``pitch_deg``, ``roll_deg`` | in the frame of the export |
-| ``q_w``, ``q_x``, ``q_y``, ``q_z`` | instead: from body to navigation frame |
-| ``sigma_yaw_deg``, ``sigma_pitch_deg``, ``sigma_roll_deg`` | optional, 1 sigma |
-
-The names are in the first line. Other columns are ignored.
+README.txt of an export lists the columns; their names are in the first line, others are ignored.
 """
 
 import io
