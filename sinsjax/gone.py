@@ -8,6 +8,7 @@ LINE = MARK + " ({})"
 """The message about something that is gone, with the text about it."""
 
 KEYS: dict[str, str] = {
+    "advise.known_heading_deg": "drop it: no number depended on it",
     "study.check_linearity": "drop it, with estimate = 'covariance'",
     "study.estimate_samples": "drop it, with estimate = 'covariance'",
     "filter.turning": "drop it; on turned bases use method = 'gravity_fit'",

@@ -25,13 +25,12 @@ from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet
 from sinsjax.bounds.information import heading_bound
 from sinsjax.bounds.turn_planner import SHORTEST_S, TurnChoice, compare_turns
 from sinsjax.methods.filters.keys import level_surge
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
+from sinsjax.units import ARCMIN, DEG
 
 _BANDS_DEG = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_TIMES = 60
 _COARSE, _NOT_FOUND = 0.1, 0.5  # rad, above which errors are not small, and show no north
 _ROTATES_DEG = 0.5
-_UG = micro_g(9.8)
 
 
 class Heading(NamedTuple):
@@ -172,9 +171,8 @@ class Advice:
         sections = {name: dict(table) for name, table in self.choice.sections.items()}
         if self.choice.method == methods.FILTER:
             sections["alignment"] |= {"misalignment": "euler"}
-            known = self.sheet.asked.known_heading_deg
-            law = {"normal": [0.0, known]} if known else {"uniform": [-180.0, 180.0]}
-            sections["drawn"] = self.sheet.tables["drawn"] | {"phi_u0_deg": law}
+            anywhere = {"phi_u0_deg": {"uniform": [-180.0, 180.0]}}
+            sections["drawn"] = self.sheet.tables["drawn"] | anywhere
         tables = self.sheet.study_tables(sections, judged_from="truth", **settings)
         comment = (
             "# Written by sinsjax advise: the sheet with the method it names, to be confirmed by\n"
@@ -230,8 +228,7 @@ def advise(
     Args:
         sheet: file, or nested dictionaries: an ordinary study without an alignment. [sensors] has
             the noise of the data sheet, [drawn] the turn-on biases as ``{normal = [0.0, SIGMA]}``,
-            [earth] the latitude, [motion] what moves, and [advise] ``time_s``, ``wanted_deg`` and
-            ``known_heading_deg``.
+            [earth] the latitude, [motion] what moves, and [advise] ``time_s`` and ``wanted_deg``.
         imu: name of a shipped sheet instead, such as "kvh1775".
         latitude_deg: latitude, deg, in place of that of the sheet.
         time_s: time that there is to align, s, likewise.
@@ -295,15 +292,6 @@ def _rms_at_the_end(sheet: Sheet) -> float:
 
 def _iter_warnings(advice: Advice) -> Iterator[str]:
     """Yield what can go wrong."""
-    within, motion = advice.heading.within_95_arcmin, advice.sheet.motion
-    wanted_deg = advice.sheet.asked.wanted_deg
-    if wanted_deg is not None and within > 60 * wanted_deg:
-        last = advice.headings[-1]
-        text = f"95 % stay within {format_angle(within)}, not {format_angle(60 * wanted_deg)}"
-        if last.within_95_arcmin > 60 * wanted_deg and advice.turns is not None:
-            text += f"; no method at rest gets under {format_angle(last.within_95_arcmin)}"
-            text += f" in {last.time_s:g} s"
-        yield text
     if advice.sigma > _NOT_FOUND:
         more = "; an IMU that is turned may find it (docs/turning.md)" if advice.turns else ""
         yield f"north is not found, for the {SOURCES[advice.dominant].words}{more}"
@@ -314,18 +302,11 @@ def _iter_warnings(advice: Advice) -> Iterator[str]:
             f"{methods.FILTER} does not estimate gyro biases, so the turns of the base hardly help"
             " (turn without surge, for gravity_fit)"
         )
+    motion = advice.sheet.motion
     angles_deg = [motion.get(f"{axis}_amplitude_deg", 0.0) for axis in ("pitch", "roll", "yaw")]
     if np.max(np.abs(angles_deg)) > _ROTATES_DEG and not level_surge(motion.get("surge_m_per_s")):
         surge = MOTIONS["surging"]["surge_m_per_s"]
         yield (
             f"the base is assumed to rotate without moving: a surge of {surge:g} m/s rms would make"
             f" it {format_angle(advice.surging_rms_arcmin)} (--motion surging)"
-        )
-    arm_m = np.max(np.abs(motion.get("lever_arm_m", 0.0)))
-    speed = float(motion.get("vibration_deg_per_h_rms", 0.0) * DEG_PER_H * arm_m)
-    if speed > 0.5 * methods.accel_density(advice.sheet) * _UG:
-        yield (
-            f"angular vibration swings the sensors at the end of the lever arm at {speed:.2g} m/s"
-            f" rms, of which {advice.choice.method} knows nothing: errors are above the numbers"
-            " here, up to 100 times"
         )

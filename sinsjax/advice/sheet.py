@@ -13,9 +13,9 @@ from sinsjax.messages import explain_error, suggest_closest
 from sinsjax.platform.assets import asset_path
 from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
-from sinsjax.study.keys import SECTION_OF, TomlTable
+from sinsjax.study.keys import SECTION_OF, TomlTable, unknown_key_error
 from sinsjax.study.load import SHEET_TABLES, study_from_dict
-from sinsjax.study.schema import AdviseSection
+from sinsjax.study.schema import AdviseSection, SensorsSection
 from sinsjax.study.sweep import correctable_errors
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
@@ -39,23 +39,15 @@ CONSTANT_KEYS = (
 )
 """Keys of errors that stay constant; a fixed value counts as 1 sigma."""
 
-_KEYS = {
-    "gyro": {
-        "instability": "gyro_instability_deg_per_h",
-        "walk": "gyro_rrw_deg_per_h_per_sqrt_h",
-        "white": "gyro_arw_deg_per_sqrt_h",
-        "bias": "gyro_bias_deg_per_h",
-    },
-    "accel": {
-        "instability": "accel_instability_ug",
-        "walk": "accel_rrw_ug_per_sqrt_h",
-        "white": "accel_vrw_ug_per_sqrt_hz",
-        "bias": "accel_bias_ug",
-    },
+_WHITE = {
+    "gyro_arw_deg_per_sqrt_h": "gyro_noise_deg_per_h",
+    "accel_vrw_ug_per_sqrt_hz": "accel_noise_ug",
 }
-_WORDS = {
+"""Keys of white noise, of which a sheet needs one per sensor: its density, or that of a sample."""
+
+_QUANTITIES = {
     "instability": "instability",
-    **dict.fromkeys(("rrw", "rate_random_walk", "acceleration_random_walk"), "walk"),
+    **dict.fromkeys(("rrw", "rate_random_walk", "acceleration_random_walk"), "rrw"),
     **dict.fromkeys(("arw", "vrw", "random_walk", "noise"), "white"),
     **dict.fromkeys(("bias", "turn_on", "repeatability", "offset"), "bias"),
 }
@@ -213,12 +205,14 @@ def _convert_key(key: str) -> str:
     sensor = key.partition("_")[0]
     units = (unit for name, unit in _FACTORS.get(sensor, {}).items() if key.endswith(name))
     only, factor = next(units, ("", None))
-    quantity = next((found for word, found in _WORDS.items() if word in key), "")
-    quantity = quantity if quantity == "walk" else only or quantity
-    if sensor not in _KEYS or not quantity:
+    quantity = next((found for word, found in _QUANTITIES.items() if word in key), "")
+    quantity = quantity if quantity == "rrw" else only or quantity
+    if sensor not in _FACTORS or not quantity:
         return ""
-    convert = f", multiply by {factor:.6g}" if factor else ""
-    return f" (did you mean {_KEYS[sensor][quantity]}?{convert})"
+    names = ("arw_", "vrw_") if quantity == "white" else (f"{quantity}_",)
+    begins = tuple(f"{sensor}_{name}" for name in names)
+    known = next(known for known in SensorsSection.model_fields if known.startswith(begins))
+    return f" (did you mean {known}?{f', multiply by {factor:.6g}' if factor else ''})"
 
 
 def _complete(name: str, data: TomlTable) -> Sheet:
@@ -248,9 +242,12 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
             drawn[key] = {"normal": [0.0, rms(fixed)]}
-    for sensor, per_sample in (("gyro", "gyro_noise_deg_per_h"), ("accel", "accel_noise_ug")):
-        if not sheet.sigma(key := _KEYS[sensor]["white"]) and not sheet.sigma(per_sample):
+    for key, per_sample in _WHITE.items():
+        if not sheet.sigma(key) and not sheet.sigma(per_sample):
             raise InputError(f"[sensors] {key}: required, the random walk of the data sheet")
+    if np.any(motion.get("vibration_deg_per_h_rms")) and np.any(motion.get("lever_arm_m")):
+        text = "swings the lever arm, which no method here knows (lever_arm_m = 0 leaves it out)"
+        raise InputError(f"[motion] vibration_deg_per_h_rms: {text}")
     return sheet
 
 
@@ -261,16 +258,15 @@ def _read_asked(table: Any) -> AdviseSection:
         lines, fields = [], AdviseSection.model_fields
         for one in correctable_errors(error):
             key = str(one["loc"][0])
-            unknown = f"unknown key{suggest_closest(key, fields)}"
+            unknown = unknown_key_error(key, fields)
             lines.append(f"[advise] {key}: {explain_error(one) if key in fields else unknown}")
         raise InputError(*lines) from None
 
 
 def _iter_doubts(sheet: Sheet) -> Iterator[str]:
     """Yield values that do not fit each other."""
-    bias, drift, walk = (
-        sheet.sigma(_KEYS["gyro"][quantity]) for quantity in ("bias", "instability", "white")
-    )
+    keys = "gyro_bias_deg_per_h", "gyro_instability_deg_per_h", "gyro_arw_deg_per_sqrt_h"
+    bias, drift, walk = map(sheet.sigma, keys)
     missing = [key for key in CONSTANT_KEYS[:2] if not sheet.sigma(key)]
     if missing:
         yield (

@@ -605,9 +605,6 @@ class AdviseSection(Section):
     wanted_deg: vt.AngleSigma | None = field(
         "heading error that 95 % of alignments must not exceed"
     )
-    known_heading_deg: vt.AngleSigma | None = field(
-        "1 sigma of prior heading knowledge", otherwise="nothing is known"
-    )
 
 
 class StopWhenSection(Section):
