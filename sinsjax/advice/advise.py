@@ -273,12 +273,12 @@ def advise(
 def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
     """Return a sheet with another size of one source of errors, see `heading.SOURCES`."""
     tables = {name: dict(table) for name, table in sheet.tables.items()}
-    for key in SOURCES[source].keys:
-        for name in ("sensors", "motion"):
-            if key in tables[name]:
-                tables[name][key] = (np.asarray(tables[name][key]) * factor).tolist()
-        if key in tables["drawn"]:
-            tables["drawn"][key] = {"normal": [0.0, factor * sheet.sigma(key)]}
+    key = SOURCES[source].key
+    for name in ("sensors", "motion"):
+        if key in tables[name]:
+            tables[name][key] = (np.asarray(tables[name][key]) * factor).tolist()
+    if key in tables["drawn"]:
+        tables["drawn"][key] = {"normal": [0.0, factor * sheet.sigma(key)]}
     return replace(sheet, tables=tables)
 
 

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
 from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import HeadingProblem
@@ -16,29 +15,29 @@ from sinsjax.study.load import study_from_dict
 
 
 class Source(NamedTuple):
-    """A source of errors: its name in words, and its keys."""
+    """A source of errors: its name in words, and its key."""
 
     words: str
-    keys: tuple[str, ...]
+    key: str
 
 
 SOURCES = {
-    "gyro_bias": Source("gyro turn-on bias", ("gyro_bias_deg_per_h",)),
-    "accel_bias": Source("accelerometer turn-on bias", ("accel_bias_ug",)),
-    "gyro_noise": Source("angle random walk", ("gyro_arw_deg_per_sqrt_h", "gyro_noise_deg_per_h")),
-    "accel_noise": Source("velocity random walk", ("accel_vrw_ug_per_sqrt_hz", "accel_noise_ug")),
-    "gyro_instability": Source("gyro bias instability", ("gyro_instability_deg_per_h",)),
-    "accel_instability": Source("accelerometer bias instability", ("accel_instability_ug",)),
-    "gyro_walk": Source("gyro rate random walk", ("gyro_rrw_deg_per_h_per_sqrt_h",)),
-    "accel_walk": Source("accelerometer random walk", ("accel_rrw_ug_per_sqrt_h",)),
-    "gyro_quantisation": Source("gyro quantisation", ("gyro_quantisation_arcsec",)),
-    "accel_quantisation": Source("accelerometer quantisation", ("accel_quantisation_um_per_s",)),
-    "surge": Source("surge of the base", ("surge_m_per_s",)),
-    "shaking": Source("vibration", ("vibration_ug_rms",)),
-    "gyro_scale": Source("gyro scale factor", ("gyro_scale_ppm",)),
-    "gyro_misalignment": Source("gyro axis misalignment", ("gyro_misalignment_arcsec",)),
-    "accel_scale": Source("accelerometer scale factor", ("accel_scale_ppm",)),
-    "accel_misalignment": Source("accelerometer axis misalignment", ("accel_misalignment_arcsec",)),
+    "gyro_bias": Source("gyro turn-on bias", "gyro_bias_deg_per_h"),
+    "accel_bias": Source("accelerometer turn-on bias", "accel_bias_ug"),
+    "gyro_noise": Source("angle random walk", "gyro_arw_deg_per_sqrt_h"),
+    "accel_noise": Source("velocity random walk", "accel_vrw_ug_per_sqrt_hz"),
+    "gyro_instability": Source("gyro bias instability", "gyro_instability_deg_per_h"),
+    "accel_instability": Source("accelerometer bias instability", "accel_instability_ug"),
+    "gyro_walk": Source("gyro rate random walk", "gyro_rrw_deg_per_h_per_sqrt_h"),
+    "accel_walk": Source("accelerometer random walk", "accel_rrw_ug_per_sqrt_h"),
+    "gyro_quantisation": Source("gyro quantisation", "gyro_quantisation_arcsec"),
+    "accel_quantisation": Source("accelerometer quantisation", "accel_quantisation_um_per_s"),
+    "surge": Source("surge of the base", "surge_m_per_s"),
+    "shaking": Source("vibration", "vibration_ug_rms"),
+    "gyro_scale": Source("gyro scale factor", "gyro_scale_ppm"),
+    "gyro_misalignment": Source("gyro axis misalignment", "gyro_misalignment_arcsec"),
+    "accel_scale": Source("accelerometer scale factor", "accel_scale_ppm"),
+    "accel_misalignment": Source("accelerometer axis misalignment", "accel_misalignment_arcsec"),
 }
 """Sources of errors by their names in `heading_variances`."""
 
@@ -88,16 +87,10 @@ def sheet_problem(sheet: Sheet) -> HeadingProblem:
     motion = {"yaw_center_deg": 0.0} | sheet.motion
     if "attitude_file" in motion:
         del motion["yaw_center_deg"]
-    sensors = dict(sheet.tables["sensors"])
-    if sensors.pop("gyro_noise_deg_per_h", None):
-        sensors["gyro_arw_deg_per_sqrt_h"] = gyro_density(sheet)
-    if sensors.pop("accel_noise_ug", None):
-        sensors["accel_vrw_ug_per_sqrt_hz"] = accel_density(sheet)
     sections = {"alignment": {"method": "inertial"}, "motion": motion, "drawn": drawn}
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
     settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1}
-    tables = sheet.study_tables(sections | {"sensors": sensors}, **settings)
-    return budget_problem(study_from_dict(tables, sheet.name))
+    return budget_problem(study_from_dict(sheet.study_tables(sections, **settings), sheet.name))
 
 
 def heading_budget(

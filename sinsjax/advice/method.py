@@ -8,7 +8,6 @@ import tomli_w
 from sinsjax.advice.sheet import Sheet, rms
 from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study.schema import MotionSection
-from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
 
@@ -66,21 +65,17 @@ def choose_method(sheet: Sheet) -> Choice:
             "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": surge_time_s(sheet)},
             "filter": {  # R, which is left out, follows the motion
                 "q_reading": "psd",
-                "q_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
-                "q_accel_ug_per_sqrt_hz": accel_density(sheet),
+                "q_gyro_arw_deg_per_sqrt_h": _round_off(sheet.sigma("gyro_arw_deg_per_sqrt_h")),
+                "q_accel_ug_per_sqrt_hz": _round_off(sheet.sigma("accel_vrw_ug_per_sqrt_hz")),
             },
         }
         return Choice(FILTER, sections, "it estimates the velocity of a surging base")
     arm = _lever_arm(sheet)
-    beliefs = {
-        "fit_gyro_bias_deg_per_h": sheet.sigma("gyro_bias_deg_per_h"),
-        "fit_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
-        "fit_accel_bias_ug": sheet.sigma("accel_bias_ug"),
-        "fit_accel_vrw_ug_per_sqrt_hz": accel_density(sheet),
-        "fit_gyro_scale_ppm": sheet.sigma("gyro_scale_ppm"),
-        "fit_gyro_misalignment_arcsec": sheet.sigma("gyro_misalignment_arcsec"),
-        "fit_lever_arm_m": arm,
-    }
+    keys = (
+        *("gyro_bias_deg_per_h", "gyro_arw_deg_per_sqrt_h", "accel_bias_ug"),
+        *("accel_vrw_ug_per_sqrt_hz", "gyro_scale_ppm", "gyro_misalignment_arcsec"),
+    )
+    beliefs = {f"fit_{key}": sheet.sigma(key) for key in keys} | {"fit_lever_arm_m": arm}
     sections = {
         "alignment": {"method": FIT},
         "gravity_fit": {key: _round_off(value) for key, value in beliefs.items() if value},
@@ -93,21 +88,6 @@ def surge_time_s(sheet: Sheet) -> float:
     """Return the correlation time of the surge, s."""
     default = MotionSection.model_fields["surge_time_s"].default
     return float(sheet.motion.get("surge_time_s", default))
-
-
-def gyro_density(sheet: Sheet) -> float:
-    """Return the angle random walk, deg/sqrt(h)."""
-    if density := sheet.sigma("gyro_arw_deg_per_sqrt_h"):
-        return _round_off(density)
-    per_sample = sheet.sigma("gyro_noise_deg_per_h") * DEG_PER_H
-    return _round_off(per_sample / math.sqrt(sheet.tables["study"]["rate_hz"]) / DEG_PER_SQRT_H)
-
-
-def accel_density(sheet: Sheet) -> float:
-    """Return the velocity random walk, ug/sqrt(Hz)."""
-    if density := sheet.sigma("accel_vrw_ug_per_sqrt_hz"):
-        return _round_off(density)
-    return _round_off(sheet.sigma("accel_noise_ug") / math.sqrt(sheet.tables["study"]["rate_hz"]))
 
 
 def _lever_arm(sheet: Sheet) -> float:

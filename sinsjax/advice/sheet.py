@@ -39,11 +39,8 @@ CONSTANT_KEYS = (
 )
 """Keys of errors that stay constant; a fixed value counts as 1 sigma."""
 
-_WHITE = {
-    "gyro_arw_deg_per_sqrt_h": "gyro_noise_deg_per_h",
-    "accel_vrw_ug_per_sqrt_hz": "accel_noise_ug",
-}
-"""Keys of white noise, of which a sheet needs one per sensor: its density, or that of a sample."""
+_WHITE = ("gyro_arw_deg_per_sqrt_h", "accel_vrw_ug_per_sqrt_hz")
+"""Keys of white noise, which a sheet needs."""
 
 _QUANTITIES = {
     "instability": "instability",
@@ -242,8 +239,8 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
             drawn[key] = {"normal": [0.0, rms(fixed)]}
-    for key, per_sample in _WHITE.items():
-        if not sheet.sigma(key) and not sheet.sigma(per_sample):
+    for key in _WHITE:
+        if not sheet.sigma(key):
             raise InputError(f"[sensors] {key}: required, the random walk of the data sheet")
     if np.any(motion.get("vibration_deg_per_h_rms")) and np.any(motion.get("lever_arm_m")):
         text = "swings the lever arm, which no method here knows (lever_arm_m = 0 leaves it out)"

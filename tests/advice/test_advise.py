@@ -87,14 +87,6 @@ def test_settings_are_those_of_the_sheet_and_its_motion():
     assert advise().choice.sections == still.sections
 
 
-def test_noise_of_a_sample_is_the_density_at_the_rate():
-    sensors = {"gyro_noise_deg_per_h": 0.005 * 60 * 5, "accel_noise_ug": 30.0 * 5}
-    rest = {key: v for key, v in FOG["sensors"].items() if "instability" in key}
-    given = read_sheet(FOG | {"sensors": sensors | rest, "study": {"rate_hz": 25.0}})
-    assert choose_method(given).sections == choose_method(read()).sections
-    assert budget_of(given, 60.0).sigma == pytest.approx(budget_of(read(), 60.0).sigma, rel=1e-4)
-
-
 def test_numbers_as_json_are_those_of_the_advice():
     advice = advise(STEADY | {"advise.wanted_deg": 0.5})
     numbers = json.loads(json.dumps(advice.to_dict()))
@@ -188,7 +180,7 @@ def test_values_that_do_not_fit_are_doubts(changes, words):
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
+        ({"sensors.gyro_noise_deg_per_h": 1.0}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
         ({"sensors.gyro_arw_deg_per_sqrt_h": 50.0}, "[sensors] gyro_arw_deg_per_sqrt_h: 50 0 3"),
         (
             {"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}},
