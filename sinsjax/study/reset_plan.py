@@ -1,12 +1,10 @@
-"""The resets of a study's filters by the law, and the settling times that it predicts."""
+"""The resets of a study's filters by the law."""
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
 from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study
@@ -18,30 +16,23 @@ from sinsjax.study.reset_schedules import (
     schedule_by_law,
 )
 from sinsjax.study.study import Study
-from sinsjax.units import ARCMIN, DEG
-
-_TILT = 5 * (1 + 1j) * DEG  # of the start
 
 
 class ResetPlan(NamedTuple):
-    """The schedule of a filter by the law, and its predicted settling time; times in s.
-
-    Settling times are those of a median run from the heading bound and 5 deg of level about both
-    axes, predicted by `sinsjax.methods.reset_prediction`; inf if it does not settle. They hold for
-    resets that open P as `settings` does; instability and random walks of the biases delay them.
+    """The schedule of a filter by the law; times in s.
 
     Attributes:
         problem: the filter and its place.
         heading_bound_deg: largest initial heading error that the schedule settles, deg.
         band_arcmin: heading error within which a run is settled, arcmin.
         times_s: times of the resets.
-        settling_s: settling time with these resets.
-        without_s: settling time without resets.
+        settling_s: time within which the law's bound on the heading error settles, with two sigma
+            of the sensors' white noise; their drifts delay it.
 
     Examples:
         >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60.0)
-        >>> len(plan.times_s), plan.settling_s < plan.without_s
-        (4, True)
+        >>> len(plan.times_s)
+        4
         >>> plan.settings["reset_velocity_m_per_s"]
         1.0
     """
@@ -51,7 +42,6 @@ class ResetPlan(NamedTuple):
     band_arcmin: float
     times_s: tuple[float, ...]
     settling_s: float
-    without_s: float
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -66,14 +56,9 @@ class ResetPlan(NamedTuple):
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
             "set": f'schedule = "law", or these times with reset_velocity_m_per_s = {velocity:.4g}',
             "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
-            f" {_format_time(self.settling_s)} (median run, predicted)",
-            "without": _format_time(self.without_s),
+            f" {self.settling_s:,.0f} s, two sigma of white noise",
         }
         return display.format_text("Reset schedule by the law", facts)
-
-
-def _format_time(time_s: float) -> str:
-    return f"{time_s:,.0f} s" if math.isfinite(time_s) else "never"
 
 
 def reset_schedule(study: Study | str, **bounds: float) -> ResetPlan:
@@ -124,11 +109,8 @@ def _plan_resets(study: Study, point: Mapping[str, Any]) -> ResetPlan:
     except InputError as error:
         raise error.with_source(study.name) from None
     assert found is not None
-    bound, band = point["heading_bound_deg"], point["settle_band_arcmin"]
-    law = Lane(reset_problem(rate_hz, point), found.times_s, bound * DEG, _TILT)
-    lanes, run_s = [law, law._replace(times_s=())], max(study.run_s, 3 * found.settling_s)
-    by_law, without = predict_settling_times(lanes, run_s, [band * ARCMIN] * 2).tolist()
-    return ResetPlan(law.problem, bound, band, law.times_s, by_law, without)
+    bounds = point["heading_bound_deg"], point["settle_band_arcmin"]
+    return ResetPlan(reset_problem(rate_hz, point), *bounds, found.times_s, found.settling_s)
 
 
 def describe_plans(study: Study) -> list[str]:
