@@ -166,34 +166,31 @@ def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
 class Reversal(NamedTuple):
     """Factors on the loops' state at a direction reversal.
 
+    The levelling integrals, which balance gyro drift and the Earth rate of a heading error, change
+    their sign with those.
+
     Attributes:
         velocity: on both velocities.
-        integral: on both levelling integrals, which balance gyro drift and the Earth rate of a
-            heading error; both change sign with time.
         rate: on the azimuth rate.
         reflection: share by which each tilt is reflected about its equilibrium: 1 rotates the
             platform by twice the tilt of the low-passed specific force, 0 not at all.
     """
 
     velocity: Scalar
-    integral: Scalar
     rate: Scalar
     reflection: Scalar
 
 
 REVERSALS = {
-    "reflect": Reversal(-1.0, -1.0, 1.0, 1.0),
-    "velocity": Reversal(-1.0, -1.0, 1.0, 0.0),
-    "velocity_and_rate": Reversal(-1.0, -1.0, -1.0, 0.0),
-    "velocity_drop_rate": Reversal(-1.0, -1.0, 0.0, 0.0),
-    "restart": Reversal(0.0, 0.0, 0.0, 0.0),
-    "keep": Reversal(1.0, -1.0, 1.0, 0.0),
+    "reflect": Reversal(-1.0, 1.0, 1.0),
+    "velocity": Reversal(-1.0, 1.0, 0.0),
+    "velocity_and_rate": Reversal(-1.0, -1.0, 0.0),
+    "keep": Reversal(1.0, 1.0, 0.0),
 }
 """Effect of a direction reversal by the names of ``turn``.
 
 ``velocity``, that of [P2], leaves azimuth rate and tilt, which a reversed Earth rate turns against
-the loop. After ``reflect`` the next pass continues where this one stopped. ``restart`` keeps the
-attitude alone.
+the loop. After ``reflect`` the next pass continues where this one stopped.
 """
 
 
@@ -346,8 +343,8 @@ def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
             ve=reversal.velocity * nav.ve,
             vn=reversal.velocity * nav.vn,
         ),
-        integral_e=reversal.integral * state.integral_e,
-        integral_n=reversal.integral * state.integral_n,
+        integral_e=-state.integral_e,
+        integral_n=-state.integral_n,
         rate_u=reversal.rate * state.rate_u,
         force_e=LowPassed(*(kept * stage for stage in state.force_e)),
         force_n=LowPassed(*(kept * stage for stage in state.force_n)),

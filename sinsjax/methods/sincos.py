@@ -102,18 +102,16 @@ def init_unknown_heading(params: FilterParams, nav: Navigation) -> FilterState:
     return state._replace(belief=state.belief._replace(x=x))
 
 
-def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
+def _feed_back(state: FilterState, share: Scalar) -> FilterState:
     """V <- V - dV and C <- e C by a share of the estimate; s and k stay in the filter."""
     x = state.belief.x
     fed_back = tuple(share * estimate for estimate in x[:SINE])
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     turn = shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
     left = (*(a - b for a, b in zip(x[:SINE], fed_back, strict=True)), *x[SINE:])
-    corrected = state._replace(
-        nav=nav._replace(q=rotations.multiply(turn, nav.q)),
-        belief=state.belief._replace(x=left),
+    return state._replace(
+        nav=nav._replace(q=rotations.multiply(turn, nav.q)), belief=state.belief._replace(x=left)
     )
-    return corrected, Vec3(fed_back[TILT_E], fed_back[TILT_N], jnp.zeros_like(fed_back[TILT_E]))
 
 
 def _direction(state: Any) -> Direction:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, add, change_signs, select_tree
+from sinsjax.maths.algebra import Entries, add, change_signs, scale, select_tree
 from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
 from sinsjax.methods.filters.attitude import (
@@ -125,21 +125,20 @@ def feed_back(
     state: FilterState,
     share: Scalar,
     rotate: Callable[[Vec3, Quat], Quat] = rotations.correct,
-) -> tuple[FilterState, Vec3]:
-    """Return the state with a share of its estimate fed back, and the correction phi, rad.
+) -> FilterState:
+    """Return the state with a share of its estimate fed back, [P1] section 2.3.
 
-    [P1] section 2.3: V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part
-    fed back. States after those of the attitude are biases.
+    V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part fed back. States
+    after those of the attitude are biases.
     """
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
-    corrected = state._replace(
+    return state._replace(
         nav=nav._replace(q=rotate(phi, nav.q)),
         belief=subtract_fed_back(state.belief, fed_back),
         bias=tuple(b + x for b, x in zip(state.bias, fed_back[FIRST_BIAS:], strict=True)),
     )
-    return corrected, phi
 
 
 # The loop
@@ -157,7 +156,7 @@ class Filter(NamedTuple):
             solution is still that before it, and the process noise is added later. None for a
             prediction by ``transition``.
         feed_back: (state, share) -> state with that share of its estimate moved into the
-            navigation solution, and the correction of its attitude, rad.
+            navigation solution.
         init: (params, navigation) -> state.
         reverse: (sign of each estimate, state) -> state with which the record is read in the other
             direction.
@@ -171,7 +170,7 @@ class Filter(NamedTuple):
 
     transition: Callable[[Any, Place, Vec3], Entries]
     predict: Callable[[Any, Any, Place, Vec3], Any] | None = None
-    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]] = feed_back
+    feed_back: Callable[[Any, Scalar], Any] = feed_back
     init: Callable[[Any, Navigation], Any] = initial_state
     reverse: Callable[[Sequence[float], Any], Any] = reverse_time
     update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
@@ -265,7 +264,7 @@ class _ClosedLoop(NamedTuple):
         # Before a reset, all of the estimate is fed back.
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
-        closed, fed_back = self.filter.feed_back(state, share)
+        closed = self.filter.feed_back(state, share)
         effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
@@ -273,6 +272,7 @@ class _ClosedLoop(NamedTuple):
             feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
         if self.trigger is not None:
+            fed_back = scale(share, self.filter.misalignment(state))
             closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
