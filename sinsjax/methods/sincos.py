@@ -46,19 +46,12 @@ LEAST_AMPLITUDE = 0.05
 
 
 class Direction(NamedTuple):
-    """The estimated heading as a direction in the level plane.
+    """The estimated heading as a direction in the level plane."""
 
-    Attributes:
-        known: whether the measurements determine it; else it is that of the solution.
-        sine: of the azimuth.
-        cosine: of the azimuth.
-        amplitude: sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known.
-    """
-
-    known: Flag
-    sine: Scalar
-    cosine: Scalar
-    amplitude: Scalar
+    known: Flag  # whether the measurements determine it; else it is that of the solution
+    sine: Scalar  # of the azimuth
+    cosine: Scalar  # of the azimuth
+    amplitude: Scalar  # sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known
 
 
 def build_filter(options: Options) -> Filter:

@@ -47,48 +47,29 @@ class FilterResults(NamedTuple):
 
 
 class FilterParams(NamedTuple):
-    """Numbers of a filter: variances of its states, SI squared, and its schedules.
+    """Numbers of a filter: variances of its states, SI squared, and its schedules."""
 
-    Attributes:
-        p0: variances at the start.
-        q: variances added each sample.
-        r: variance of each velocity measurement, (m/s)^2.
-        reset_to: variances that a full reset sets.
-        reversal: effect of a direction reversal on P.
-        trigger: `triggers.TriggerParams`; None without a trigger.
-        extra: numbers of this filter alone; None if it has none.
-    """
-
-    p0: tuple[Scalar, ...]
-    q: tuple[Scalar, ...]
-    r: Scalar
+    p0: tuple[Scalar, ...]  # variances at the start
+    q: tuple[Scalar, ...]  # variances added each sample
+    r: Scalar  # variance of each velocity measurement, (m/s)^2
     feedback: schedules.FeedbackSchedule
     resets: schedules.Resets
-    reset_to: tuple[Scalar, ...]
-    reversal: schedules.CovarianceReset
-    trigger: Any = None
-    extra: Any = None
+    reset_to: tuple[Scalar, ...]  # variances that a full reset sets
+    reversal: schedules.CovarianceReset  # effect of a direction reversal on P
+    trigger: Any = None  # `triggers.TriggerParams`; None without a trigger
+    extra: Any = None  # numbers of this filter alone; None if it has none
 
 
 class FilterState(NamedTuple):
-    """A filter between two samples.
-
-    Attributes:
-        belief: estimated errors of the solution ``nav`` and of the sensors, with covariance.
-        bias: sensor biases fed back so far, one per bias state, SI.
-        feedback_at: sample of the next feedback.
-        trigger_state: `triggers.TriggerState`; None without a trigger.
-        innovations: their sum so far; None if they are not summed.
-        extra: state of this filter alone; None if it has none.
-    """
+    """A filter between two samples."""
 
     nav: Navigation
-    belief: Belief
-    bias: tuple[Scalar, ...]
-    feedback_at: Scalar
-    trigger_state: Any = None
-    innovations: InnovationSum | None = None
-    extra: Any = None
+    belief: Belief  # estimated errors of the solution ``nav`` and of the sensors, with covariance
+    bias: tuple[Scalar, ...]  # sensor biases fed back so far, one per bias state, SI
+    feedback_at: Scalar  # sample of the next feedback
+    trigger_state: Any = None  # `triggers.TriggerState`; None without a trigger
+    innovations: InnovationSum | None = None  # their sum so far; None if they are not summed
+    extra: Any = None  # state of this filter alone; None if it has none
 
 
 # Stages that filters share
