@@ -20,21 +20,31 @@ from sinsjax.types import Array, Flag, Quat, Scalar, Vec3
 
 
 class MeanBiases(NamedTuple):
-    """Mean constant biases in n."""
+    """Mean constant biases in n.
 
-    eps: Vec3  # of the gyros, rad/s
-    nabla: Vec3  # of the accelerometers, m/s^2
-    largest_nabla: Scalar  # largest accelerometer bias in b, m/s^2
+    Attributes:
+        eps: of the gyros, rad/s.
+        nabla: of the accelerometers, m/s^2.
+        largest_nabla: largest accelerometer bias in b, m/s^2.
+    """
+
+    eps: Vec3
+    nabla: Vec3
+    largest_nabla: Scalar
 
 
 class BiasFloor(NamedTuple):
-    """The misalignment that the constant sensor biases of a run leave."""
+    """The misalignment that the constant sensor biases of a run leave.
 
-    phi: Vec3  # rotation vector in n, rad
-    # The most that the accelerometer biases can leave of a level error, max |nabla|/g, rad
+    Attributes:
+        phi: rotation vector in n, rad.
+        tilt: the most that the accelerometer biases can leave of a level error, max |nabla|/g, rad.
+        no_north: whether the level gyro bias exceeds the north component of the Earth rate, so
+            that the measured rate may point anywhere, or the method finds no heading.
+    """
+
+    phi: Vec3
     tilt: Scalar
-    # Whether the level gyro bias exceeds the north component of the Earth rate, so that the
-    # measured rate may point anywhere, or the method finds no heading
     no_north: Flag
 
 

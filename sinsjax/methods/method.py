@@ -284,13 +284,16 @@ class Method:
         return (*start, *self.without_effect)
 
     def check_data(self, study: StudyKeys) -> None:
-        """Refuse passes over a record that it reads once, and a coarse start that it needs not."""
-        keys = {"stored_s": study.has("passes") and self.program.passes is None}
-        keys["coarse_method"] = not (self.needs_start or study.is_recorded) and study.has("coarse")
-        for key in filter(keys.get, keys):
+        """Refuse passes over a record that it reads once, and a coarse start without need."""
+        refused = {}
+        if study.has("passes") and self.program.passes is None:
+            refused["stored_s"] = f"method {self.name} reads a record once (drop it)"
+        if study.has("coarse") and not (self.needs_start or study.is_recorded):
+            refused["coarse_method"] = f"method {self.name} needs no coarse start (give 'none')"
+        for key, text in refused.items():
             for point in study.combinations("method", key):
                 if point["method"] == self.name and point[key] not in (None, "none"):
-                    study.refuse(key, f"does not apply to method {self.name} (drop it, or 'none')")
+                    study.refuse(key, text)
 
     def own_columns(self, study: StudyKeys) -> tuple[OwnColumn, ...]:
         """Return its own result columns in a study."""
