@@ -8,9 +8,9 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import count, groupby, product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -244,30 +244,13 @@ class TaskRunner:
         metadata = part_metadata(self.job, self.identity, dataset, task)
         return sealed.to_sealed_parquet(table.cast(schema), metadata)
 
-    def compile_ahead(
-        self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]
-    ) -> Iterator[Task]:
-        """Yield tasks of one stage in order, while their programs and the next few are compiled.
-
-        Args:
-            tasks: the tasks.
-            on_compiled: called with the number of programs that are compiled and that of all, first
-                and whenever one more is, then from another thread.
-        """
+    def compile_ahead(self, tasks: Iterable[Task]) -> Iterator[Task]:
+        """Yield tasks of one stage in order, while their programs and the next few are compiled."""
         by_program = {part: list(of) for part, of in groupby(tasks, lambda task: task.part)}
-        programs, compiled, begun = list(by_program), count(1), set[int]()
-        on_compiled(0, len(programs))
-
-        def report(one: Future) -> None:
-            if not one.cancelled():
-                on_compiled(next(compiled), len(programs))
-
+        programs = list(by_program)
         for number, program in enumerate(programs):
             for ahead in programs[number : number + _MOST_COMPILERS]:
-                if ahead not in begun:
-                    begun.add(ahead)
-                    draws = range(*by_program[ahead][0].draws)
-                    self._compiling(ahead, draws).add_done_callback(report)
+                self._compiling(ahead, range(*by_program[ahead][0].draws))
             yield from by_program[program]
 
     def close(self) -> None:

@@ -91,7 +91,7 @@ def test_resume_computes_only_missing_runs(sinsjax: Command) -> None:
     lost, kept = sorted(Path("out/summary").glob("*.parquet"))
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 72 of 200 runs already done" in told
+    assert code == 0 and "study: 72 of 200 runs, compiling" in told
     after = read_files_and_times(Path("out/summary"))
     assert {name: content for name, (content, _) in after.items()} == {
         name: content for name, (content, _) in before.items()
