@@ -39,8 +39,8 @@ class RunProgress(NamedTuple):
     @property
     def state(self) -> str:
         """The failures so far, or what precedes the first chunk, in words."""
-        if self.done == self.done_before < self.total:
-            return "compiling"
+        if self.done == self.done_before:
+            return "already done" if self.done else "compiling"
         return "" if self.failures is None else f"{self.failures:,} failed"
 
 
