@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from rich.filesize import decimal
 
 from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS, LANES, STACKED_TILES
@@ -34,9 +35,8 @@ _START_S, _PROCESS_COMPILE_S, _DESCENT_SAMPLE_S, _TRACE_S = 4.0, 3.0, 15e-6, 2.0
 _BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES = 400e6, 160, 600, 2
 _RECORD_BYTES, _KEPT_BYTES, _POINT_BYTES = 500, 48, 2000
 
-_COMPRESSION_RATIO = 0.8  # of 8-byte numbers in Parquet: 0.6 to 0.95, with and without nulls
+_NUMBER_BYTES = 6.4  # on disk: 0.6 to 0.95 of eight, with and without nulls
 _DESCENT_PROGRAMS = 3  # of a descent: of the start points, the gradient and the ends
-_PROCESS_KEYS = keys_acting_as("process")
 _SWITCH_KEYS = keys_acting_as("noise", "distortion", "sway", "process")
 """Keys that simplify the program if they are zero."""
 
@@ -52,8 +52,7 @@ class Forecast(NamedTuple):
         memory: peak memory, bytes.
         programs: number of programs to compile, unless they are in the compile cache.
         compile_s: time to compile all of them on one core, s.
-        start_s: time that more cores do not shorten: to import, trace and report, and of the steps
-            of descents, s.
+        start_s: time that more cores do not shorten, s.
     """
 
     runs: int
@@ -66,12 +65,7 @@ class Forecast(NamedTuple):
     start_s: float = _START_S
 
     def describe(self, cores: int, done: int = 0) -> str:
-        """Return one line for a user: the runs, the remaining time, memory and disk space.
-
-        Args:
-            cores: number of cores that share the runs.
-            done: number of runs with stored results.
-        """
+        """Return one line for a user: the cost of the runs that are not done yet."""
         remaining = max(0, self.runs - done)
         left = f", {remaining:,} left" if done else ""
         later_s = self.start_s + remaining * self.run_s / cores
@@ -80,18 +74,13 @@ class Forecast(NamedTuple):
             f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s{left}: roughly"
             f" {_format_duration(later_s)} on {format_count(cores, 'core')}"
             f" ({_format_duration(first_s)} the first time, which compiles"
-            f" {format_count(self.programs, 'program')}), {format_bytes(self.memory)} of memory,"
-            f" {format_bytes(remaining * self.run_bytes)} on disk."
+            f" {format_count(self.programs, 'program')}), {decimal(int(self.memory))} of memory,"
+            f" {decimal(int(remaining * self.run_bytes))} on disk."
         )
 
 
 def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
-    """Return the forecast of a sweep.
-
-    Args:
-        study: checked study, whose rate is known.
-        curves: whether to keep curves; None follows the study.
-    """
+    """Return the forecast of a sweep; ``curves = None`` follows the study."""
     kept = study.study.curves if curves is None else curves
     return _forecast_runs(study, study.n_variants, study.n_draws * study.n_variants, curves=kept)
 
@@ -101,11 +90,10 @@ def forecast_tuning(study: Study) -> Forecast:
 
     The cost of a descent's steps is a rough guess.
     """
-    tune = study.tune
+    tune, draws = study.tune, ((study.n_draws + 1) // 2, study.n_draws // 2)
     assert tune is not None
-    draws = tune.tune_draws or 1, tune.evaluation_draws or 1
-    if study.record:
-        draws = (study.n_draws + 1) // 2, study.n_draws // 2
+    if not study.record:
+        draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     space, variants = SearchSpace.from_study(study), study.n_variants
     free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
     # A gradient stores its history alone; the others add the schedule by the law, if it exists.
@@ -114,9 +102,8 @@ def forecast_tuning(study: Study) -> Forecast:
     sobol = (tune.sobol_points + law) * len(free_keys)
     points = [{"grid": grid, "sobol": sobol}.get(name, 0) for name in tune.searches]
     candidates = len(tune.searches) + 1 + law
-    runs = variants * (sum(points) * draws[0] + candidates * draws[1])
-    most = max(candidates, *points)
-    found = _forecast_runs(study, variants * most, runs, curves=False)
+    runs, most = variants * (sum(points) * draws[0] + candidates * draws[1]), max(points)
+    found = _forecast_runs(study, variants * max(most, candidates), runs, curves=False)
     descents = found.programs * len(free_keys) * ("gradient" in tune.searches)
     programs = found.programs + descents * _DESCENT_PROGRAMS
     steps = descents * tune.descent_steps * found.length_s * study.rate_hz
@@ -133,8 +120,8 @@ def check_memory(name: str, forecast: Forecast) -> None:
     available = machine.available_memory_bytes()
     if forecast.memory > available:
         raise InputError(
-            f"{name}: {forecast.runs:,} runs need about {format_bytes(forecast.memory)} of memory,"
-            f" but this machine has only {format_bytes(available)}"
+            f"{name}: {forecast.runs:,} runs need about {decimal(int(forecast.memory))} of memory,"
+            f" but this machine has only {decimal(int(available))}"
         )
 
 
@@ -143,8 +130,8 @@ def check_disk(directory: Path, forecast: Forecast) -> None:
     needed, free = forecast.runs * forecast.run_bytes, machine.free_disk_bytes(directory)
     if needed > free:
         raise InputError(
-            f"{directory}: the results of {forecast.runs:,} runs need about"
-            f" {format_bytes(needed)}, but the disk has only {format_bytes(free)} free"
+            f"{directory}: the results of {forecast.runs:,} runs need about {decimal(int(needed))},"
+            f" but the disk has only {decimal(int(free))} free"
         )
 
 
@@ -166,7 +153,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
         memory += _RECORD_BYTES * min(runs * records, max(CHUNK_RECORDS, 2 * records))
     methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
     compile_s = sum(method.compile_s for method in methods) / len(methods)
-    if study.is_active(*_PROCESS_KEYS):
+    if study.is_active(*keys_acting_as("process")):
         compile_s += _PROCESS_COMPILE_S
     return Forecast(
         runs=runs,
@@ -181,8 +168,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
 
 def _count_programs(study: Study) -> int:
     """Return the number of programs, from the swept keys that decide them, by value or by zero."""
-    kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
-    count = len(kinds)
+    count = len({(span.records, span.rewinds) for span in study.distinct_spans})
     for dimension in study.dimensions:
         columns = [
             values if key in PROGRAM_KEYS else map(np.any, values)
@@ -195,22 +181,12 @@ def _count_programs(study: Study) -> int:
 
 def _row_bytes(study: Study, columns: Iterable[Column]) -> float:
     """Return the disk space per row, bytes; only continuous numbers count, others compress well."""
-    numbers = sum(
+    return _NUMBER_BYTES * sum(
         NUMBERS_DRAWN.get(column.name, 1)
         for column in columns
         if column.name in study.drawn_keys
         or (pa.types.is_floating(column.dtype) and column.name not in study.axis_keys)
     )
-    return 8 * _COMPRESSION_RATIO * numbers
-
-
-def format_bytes(count: float) -> str:
-    """Return a number of bytes as text."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 999.5:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:.3g} TB" if count < 1e5 else f"{count:.1e} TB"
 
 
 def _format_duration(seconds: float) -> str:

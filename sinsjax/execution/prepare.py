@@ -46,7 +46,7 @@ class RunOptions(NamedTuple):
     chunk_runs: int | None = None
     overwrite: bool = False
     resume: bool = False
-    source: Path | str | None = None
+    source: str | None = None
 
 
 _DEFAULTS = RunOptions()
@@ -79,9 +79,7 @@ def prepare_job(
     job = load_job(source, overrides, record, reference, options)
     if job.directory is not None:
         resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
-    job = add_record(job, record, reference)
-    if job.directory is not None and job.resume:
-        job = resume.continue_job(job)
+        job = resume.continue_job(job) if job.resume else job
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
         job = job._replace(notes=(note, *job.notes))
@@ -98,15 +96,14 @@ def load_job(
     reference: Path | str | None,
     options: RunOptions,
 ) -> Job:
-    """Load a study, and check that it can run, with a record or without, into its directory.
-
-    The arguments are those of `prepare_job`. The record is read by `add_record`.
-    """
+    """Load a study with its record, and check that they fit, see `prepare_job`."""
     runtime.ensure_configured()
     path = None if options.directory is None else directory.results_path(options.directory)
-    name = source.name if isinstance(source, Study) else source_name(source)
+    if path is not None:
+        directory.check_unlocked(path)
     study = load_study(source, overrides)
-    notes, curves = list_idle_keys(study), options.curves
+    name = study.name if isinstance(source, Study) else source_name(source)
+    notes, doubts, stored = list_idle_keys(study), list[str](), None
     checks.refuse_external(study.study.external, name)
     given = reference if record is None else record
     if given is not None and not study.is_recorded:
@@ -115,49 +112,33 @@ def load_job(
     if study.is_recorded and record is None:
         hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
         raise InputError(f"{name}: [record]: the study needs a record ({hint})")
-    if path is not None:
-        directory.check_unlocked(path)
-        if options.resume and not path.exists():
-            notes.append(f"{path}: no results to resume, all runs are new.")
-    if options.keeps_few_curves and not curves:
-        runs = study.n_draws * study.n_variants
-        curves = True if runs <= MOST_CURVE_RUNS else curves
-        if not curves and not study.study.curves:
-            notes.append(f"{runs:,} runs: curves are kept only if [study] curves = true.")
+    if record is not None:
+        stored = _read_record(study, record, reference)
+        study = with_rate(study, stored.record.rate_hz)
+        doubts = checks.check_record(study, stored)
+    if path is not None and options.resume and not path.exists():
+        notes.append(f"{path}: no results to resume, all runs are new.")
+    curves, runs = options.curves, study.n_draws * study.n_variants
+    if options.keeps_few_curves and runs <= MOST_CURVE_RUNS:
+        curves = True
+    elif options.keeps_few_curves and not study.study.curves:
+        notes.append(f"{runs:,} runs: curves are kept only if [study] curves = true.")
+    label = options.source
+    if label is None and not isinstance(source, Study):
+        # An absolute path means nothing on another machine.
+        label = Path(source).name if Path(source).is_absolute() else Path(source).as_posix()
     return Job(
         study,
+        stored,
         curves=curves,
         chunk_runs=options.chunk_runs,
         directory=path,
         overwrite=options.overwrite,
         resume=options.resume,
-        source=_label_study(source, options.source),
+        source=label,
+        warnings=tuple(doubts),
         notes=tuple(notes),
     )
-
-
-def add_record(
-    job: Job, record: StoredRecord | Path | str | None, reference: Path | str | None
-) -> Job:
-    """Read the record of a job, if it has one, and check it at its own rate.
-
-    Args:
-        job: job of `load_job`.
-        record: inertial record of a recorded study, or its file.
-        reference: file of the reference attitude of a record that is a file.
-    """
-    if record is None:
-        return job
-    if isinstance(record, Path | str):
-        record = load_increments(job.study, record, reference)
-    if not isinstance(record, StoredRecord):
-        raise InputError(
-            f"{job.study.name}: record: must be what sinsjax.load_increments or"
-            f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
-        )
-    study = with_rate(job.study, record.record.rate_hz)
-    doubts = tuple(checks.check_record(study, record))
-    return job._replace(study=study, stored=record, warnings=doubts)
 
 
 def finish_job(job: Job, cost: Forecast) -> Job:
@@ -175,13 +156,18 @@ def finish_job(job: Job, cost: Forecast) -> Job:
     return job._replace(warnings=doubts, notes=notes, forecast=cost)
 
 
-def _label_study(source: Path | str | Study, label: Path | str | None) -> str | None:
-    """Return the label of a study in the manifest; None for a study without a file."""
-    if label is None and not isinstance(source, Study):
-        label = Path(source)
-    if isinstance(label, Path):  # an absolute path means nothing on another machine
-        return label.name if label.is_absolute() else label.as_posix()
-    return label
+def _read_record(
+    study: Study, record: StoredRecord | Path | str, reference: Path | str | None
+) -> StoredRecord:
+    """Return the record of a study, which is that or its file."""
+    if isinstance(record, Path | str):
+        return load_increments(study, record, reference)
+    if not isinstance(record, StoredRecord):
+        raise InputError(
+            f"{study.name}: record: must be what sinsjax.load_increments or"
+            f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
+        )
+    return record
 
 
 def issue_warnings(job: Job) -> Job:
@@ -197,13 +183,6 @@ def issue_warnings(job: Job) -> Job:
 
 def make_subjob(job: Job, study: Study, name: str) -> Job:
     """Return a job for a study derived from that of a prepared job, in a folder of its directory.
-
-    Only the folder is checked: the study has been.
-
-    Args:
-        job: prepared job with a directory.
-        study: study of the new job, on the same record.
-        name: name of the folder.
 
     Raises:
         InputError: the folder cannot be used, or contains results of another study.

@@ -127,7 +127,6 @@ def run_into(  # noqa: PLR0913
     progress: bool | None = None,
     on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
-    source: Path | str | None = None,
 ) -> Results:
     """Run a study into a directory, one Parquet part per chunk.
 
@@ -144,7 +143,6 @@ def run_into(  # noqa: PLR0913
             two seconds.
         on_progress: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: label of the study in the manifest; None for its file.
 
     Returns:
         The results, read from the directory when needed.
@@ -162,7 +160,7 @@ def run_into(  # noqa: PLR0913
         >>> sinsjax.read_summary("out").num_rows
         6
     """
-    options = RunOptions(directory, curves, False, chunk_runs, overwrite, resume, source)
+    options = RunOptions(directory, curves, False, chunk_runs, overwrite, resume)
     began = time.monotonic()
     job = issue_warnings(prepare_job(study, None, record, None, options))
     with python_progress(job.study.name, progress, on_progress) as show:
