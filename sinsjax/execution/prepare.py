@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution import checks, directory, forecast, resume
+from sinsjax.execution import checks, directory, forecast, store
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
@@ -75,11 +75,11 @@ def prepare_job(
     """
     job = load_job(source, overrides, record, reference, options)
     if job.directory is not None:
-        resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        directory.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
     job = _choose_curves(job, _name_of(source), options.max_curve_runs)
     job = add_record(job, record, reference, checks.level_only)
     if job.directory is not None and job.resume:
-        job = resume.continue_job(job)
+        job = store.continue_job(job)
     if job.study.tune:
         job = job._replace(notes=(_TUNE_IGNORED, *job.notes))
     return finish_job(job, forecast.forecast_sweep(job.study, job.curves))
@@ -114,7 +114,6 @@ def load_job(
         hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
         raise InputError(f"{name}: [record]: the study needs a record ({hint})")
     if path is not None:
-        directory.check_unlocked(path)
         if options.resume and not path.exists():
             notes.append(f"{path}: no results to resume, all runs are new.")
     return Job(
@@ -231,10 +230,9 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     """
     assert job.directory is not None
     subdirectory = job.directory / name
-    directory.check_unlocked(subdirectory)
-    resume.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
+    directory.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
     job = job._replace(study=study, curves=False, directory=subdirectory)
-    return resume.continue_job(job) if job.resume else job
+    return store.continue_job(job) if job.resume else job
 
 
 def load_increments(

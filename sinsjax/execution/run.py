@@ -12,12 +12,13 @@ import pyarrow as pa
 
 from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
-from sinsjax.execution import resume, schemas, stopping
+from sinsjax.execution import stopping
 from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
-from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.store import DirectoryStore, open_store
+from sinsjax.execution.tables import curve_columns
 from sinsjax.execution.tasks import Executor, Job, Task, TaskResult, TaskRunner, local_executor
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
@@ -231,14 +232,9 @@ def run_job(
     assert job.directory is not None
     executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
-    if job.resume:
-        resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    store = DirectoryStore(job, session)
-    try:
+    with open_store(job, session) as store:
         _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
-    finally:
-        store.unlock()
 
 
 def _run_to_results(
@@ -249,9 +245,7 @@ def _run_to_results(
     with python_progress(job.study.name, progress, on_progress) as show:
         _run_tasks(TaskRunner(job), sink, local_executor(), show, threading.Event())
     tables, order = sink.tables(), [("run_id", "ascending"), ("time_s", "ascending")]
-    curves = tables.get(
-        "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
-    )
+    curves = tables.get("curves", columns.arrow_schema(curve_columns(job.study)).empty_table())
     tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
     return Results(job.study, time.monotonic() - began, tables=tables)
 
@@ -273,10 +267,10 @@ def _run_tasks(
     with closing(runner):
         for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
             pending = [task for task in tasks if task in missing]
-            ready: Iterable[Task] = pending
             if executor.local:
-                ready = runner.compile_ahead(pending, progress.set_programs)
-            for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
+                runner.compile(pending, progress.set_programs)
+            ready = takewhile(lambda _: not stop.is_set(), pending)
+            for result in executor.run_tasks(runner, ready):
                 sink.add_result(result)
                 missing.remove(result.task)
                 progress.add_result(result)
