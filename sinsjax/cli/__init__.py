@@ -74,15 +74,13 @@ def run(
 
     Example: sinsjax run paper1_resets -o out
     """
-    from sinsjax.execution.run import MAX_CURVE_RUNS
-
     run_study(
         config,
         changes,
         devices=devices,
         full=full,
         directory=out,
-        max_curve_runs=MAX_CURVE_RUNS,
+        keeps_few_curves=True,
         overwrite=overwrite,
         resume=resume,
     )
@@ -153,8 +151,6 @@ def align(
 
     Example: sinsjax align drive.imu car_test -o out
     """
-    from sinsjax.execution.run import MAX_CURVE_RUNS
-
     run_study(
         config,
         changes,
@@ -162,7 +158,7 @@ def align(
         devices=devices,
         full=full,
         directory=out,
-        max_curve_runs=MAX_CURVE_RUNS,
+        keeps_few_curves=True,
         overwrite=overwrite,
         resume=resume,
     )

@@ -45,7 +45,7 @@ def run_study(
     Raises:
         InputError: the study cannot be run with these options.
     """
-    from sinsjax.execution import forecast
+    from sinsjax.execution.directory import Manifest
     from sinsjax.execution.prepare import RunOptions, prepare_job
     from sinsjax.execution.progress import show_progress
     from sinsjax.execution.run import run_job
@@ -60,11 +60,11 @@ def run_study(
     runtime.configure(devices)
     runtime.start_backend()
     file = config.name if config.is_absolute() else config.as_posix()
-    source = f"{file} with {', '.join(changes)}" if changes else config
-    prepare, given = prepare_tuning if tunes else prepare_job, RunOptions(source=source, **options)
-    job, terminal = prepare(config, parse_changes(changes or ()), *files, given), plain_console()
+    given = RunOptions(source=f"{file} with {', '.join(changes)}" if changes else file, **options)
+    prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
+    job = prepare(config, parse_changes(changes or ()), *files, given)
     assert job.directory is not None and job.forecast is not None
-    done = forecast.count_stored_runs(job.directory) if job.resume and not tunes else 0
+    stored = Manifest.find(job.directory) if job.resume and not tunes else None
     with ExitStack() as stack:
         executor, cores = None, devices or cores
         if scheduler is not None:
@@ -72,8 +72,7 @@ def run_study(
 
             executor = stack.enter_context(cluster.executor(scheduler=scheduler))
             cores = executor.facts["threads"]  # known only now
-        plan = job.forecast.describe(cores, done, threads=executor is not None)
-        print_line(terminal, f"{plan}.")
+        print_line(terminal, job.forecast.describe(cores, stored.runs_done if stored else 0))
         for line in job.warnings:
             print_warning(line)
         for line in job.notes:

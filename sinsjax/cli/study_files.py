@@ -175,7 +175,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     expected = job.forecast
     assert expected is not None
     steps = expected.length_s * study.rate_hz
-    lines.append(f"{expected.describe(runtime.usable_cores())}.")
+    lines.append(expected.describe(runtime.usable_cores()))
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 

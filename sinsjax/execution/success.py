@@ -29,7 +29,6 @@ MOST_SHARED = 5 * ARCMIN
 """Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
 
 _ANGLES = ("pitch", "roll", "yaw")
-_MOST_EXAMINED = 4096  # runs of which a missing floor is looked for, beyond a draw of each variant
 
 
 class RunSuccess(NamedTuple):
@@ -58,15 +57,9 @@ def evaluate_success(
     has_truth: bool = True,
     finds_heading: bool = True,
 ) -> RunSuccess:
-    """Return the success of some runs.
+    """Return the success of runs, leaves (runs, ...), of the lengths ``end_s``, with bias floors.
 
-    Args:
-        study: with the criteria of a success.
-        outcome: of the engine, leaves (runs, ...).
-        floors: (runs,) whether a run has a bias floor.
-        end_s: (runs,) lengths, s.
-        has_truth: whether there is a truth; without one only non-finite runs are known.
-        finds_heading: whether their method finds a heading; otherwise none is a success.
+    Without a truth only non-finite runs are known; without a heading none is a success.
     """
     criteria = success_criteria(study)
     outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
@@ -193,31 +186,21 @@ def _sigma_shared_with_bias(
 
 
 def require_floor(study: Study) -> None:
-    """Refuse a study that is judged from a bias floor if some run has none.
+    """Refuse a study that is judged from a bias floor if a variant has none in its first run.
 
-    The resets of a trigger are not known yet; draws that differ are examined if they are few.
+    The resets of a trigger are not known yet.
 
     Raises:
         InputError: names the method.
     """
     if success_criteria(study).from_truth:
         return
-    draws = np.arange(min(study.n_draws, 1 + _MOST_EXAMINED // study.n_variants))
-    variants = np.tile(np.arange(study.n_variants), len(draws))
-    last_s = last_scheduled_reset_s(study)[variants]
-    floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
-    if floors.all():
-        return
-    variant = int(variants[~floors][0])
-    method = study.values("method")[variant]
-    why = "has no bias floor on this base"
-    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
-        why = "has no bias floor on a base that is turned"
-    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
-        why = (
-            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
+    variants = np.arange(study.n_variants)
+    floors = has_floor(study, 0 * variants, variants, last_scheduled_reset_s(study))
+    if not floors.all():
+        variant = int(variants[~floors][0])
+        method = study.values("method")[variant]
+        raise InputError(
+            f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}' has no"
+            f" bias floor on this base (variant {variant}; use 'truth')"
         )
-    raise InputError(
-        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
-        f" {why} (variant {variant}; use 'truth')"
-    )

@@ -8,9 +8,9 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import count
+from itertools import count, groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,6 +144,7 @@ class TaskRunner:
         self.job, self.identity = job, job.identity
         self._scenario = scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
+        self.schemas = self._tables.schemas
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         self._duplicates = [
             find_duplicates(spec, job.initial_draws, job.study.duplicate_of[ids])
@@ -185,8 +186,7 @@ class TaskRunner:
             variant = layout.active(call).variant
             runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
             rows = tuple(
-                (name, runs * (spec.intervals if name == "curves" else 1))
-                for name in self._tables.schemas
+                (name, runs * (spec.intervals if name == "curves" else 1)) for name in self.schemas
             )
             name = f"part-{program:04d}-{next(number):06d}"
             yield Task(name, program, (draws.start, draws.stop), call, runs, rows)
@@ -213,24 +213,10 @@ class TaskRunner:
                 content[name] = sealed.to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
-    def compile(self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]) -> None:
-        """Begin to compile the programs of some tasks, in their order.
-
-        ``on_compiled`` is called with the number of compiled programs and that of all, first and
-        whenever one more is, then from another thread.
-        """
-        draws_of: dict[int, range] = {}
-        for task in tasks:
-            draws_of.setdefault(task.part, range(*task.draws))
-        compiled = count(1)
-        on_compiled(0, len(draws_of))
-
-        def report(one: Future) -> None:
-            if not one.cancelled():
-                on_compiled(next(compiled), len(draws_of))
-
-        for program, draws in draws_of.items():
-            self._compiling(program, draws).add_done_callback(report)
+    def compile(self, tasks: Iterable[Task]) -> None:
+        """Begin to compile the programs of some tasks of one stage, in their order."""
+        for program, of in groupby(tasks, lambda task: task.part):
+            self._compiling(program, range(*next(of).draws))
 
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""

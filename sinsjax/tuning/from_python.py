@@ -20,7 +20,6 @@ def tune(
     resume: bool = False,
     progress: bool | None = None,
     stop: threading.Event | None = None,
-    source: Path | str | None = None,
 ) -> TuningResults:
     """Tune a study into a directory.
 
@@ -36,7 +35,6 @@ def tune(
         progress: whether to show the progress; None shows it on a terminal or in a notebook, after
             two seconds.
         stop: event that ends the tuning run; complete stages are kept.
-        source: words for the study in manifests; None for its file.
 
     Returns:
         The best point, its objective and that of the baseline on draws not used for tuning.
@@ -53,7 +51,7 @@ def tune(
         >>> tuned.score.value < tuned.baseline.value
         True
     """
-    options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
+    options = RunOptions(directory, overwrite=overwrite, resume=resume)
     job = issue_warnings(prepare_tuning(study, None, record, None, options))
     name = job.study.name
     run_tuning(job, lambda search: python_progress(f"{name}: {search}", progress), stop)

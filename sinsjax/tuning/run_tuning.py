@@ -15,10 +15,10 @@ import numpy as np
 
 from sinsjax import gone
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import checks, forecast
 from sinsjax.execution import directory as places
+from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import RunOptions, add_record, finish_job, load_job
+from sinsjax.execution.prepare import RunOptions, finish_job, load_job
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
@@ -60,9 +60,8 @@ def prepare_tuning(
     require_tune(job.study)
     if job.directory is not None:
         check_directory(job.directory, overwrite=job.overwrite, resume=job.resume)
-    job = add_record(job, record, reference, checks.require_north)
-    if job.directory is not None and job.resume:
-        _check_same_study(job)
+        if job.resume:
+            _check_same_study(job)
     job = finish_job(job, forecast.forecast_tuning(job.study))
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"

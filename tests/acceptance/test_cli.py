@@ -90,13 +90,13 @@ def test_resume_computes_only_missing_runs(sinsjax: Command) -> None:
     lost, kept = sorted(Path("out/summary").glob("*.parquet"))
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 72 of 200 runs already done" in told
+    assert code == 0 and "study: 72 of 200 runs, already done" in told
     after = read_files_and_times(Path("out/summary"))
     assert {name: content for name, (content, _) in after.items()} == {
         name: content for name, (content, _) in before.items()
     }
     assert after[kept.name] == before[kept.name]
-    assert "study: 200 of 200 runs already done" in sinsjax(*words)[1]
+    assert "study: 200 of 200 runs, already done" in sinsjax(*words)[1]
 
 
 @pytest.mark.nightly

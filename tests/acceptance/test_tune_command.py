@@ -92,7 +92,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
     """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
     config = write(folder / "swing.toml")
-    from_python.tune(load_study(config), folder / "out", source=config)
+    from_python.tune(config, folder / "out")
     return folder / "out"
 
 

@@ -98,13 +98,12 @@ def scheduler(start: Start, tmp_path: Path, request: pytest.FixtureRequest) -> s
     raise AssertionError("no scheduler within 30 s")
 
 
-def wait_for_workers(scheduler: str, count: int) -> dict[int, str]:
-    """Wait for workers and return their addresses by process."""
+def wait_for_workers(scheduler: str, count: int) -> None:
+    """Wait until a scheduler has so many workers."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
         with distributed.Client(scheduler, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=120)
-            return {pid: address for address, pid in client.run(os.getpid).items()}
 
 
 def when_done(chunks: int, action: Callable[[], object]) -> Callable[[run.RunProgress], None]:
@@ -126,30 +125,23 @@ def refusal_line(scheduler: str) -> str:
 
 @pytest.mark.skipif(runtime.usable_cores() < 2, reason="two workers need two cores, one each")
 def test_lost_and_late_workers_give_same_bytes_as_local_run(
-    start: Start,
-    scheduler: str,
-    study: Study,
-    local_parts: dict[str, bytes],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    start: Start, scheduler: str, study: Study, local_parts: dict[str, bytes], tmp_path: Path
 ) -> None:
     words = ("dask", "worker", scheduler, "--nthreads", "1", "--no-nanny")
     victim, _ = (start(*words) for _ in range(2))
-    lost = wait_for_workers(scheduler, 2)[victim.pid]
+    wait_for_workers(scheduler, 2)
 
     def replace() -> None:
         victim.kill()
         start(*words)
 
     with cluster.executor(scheduler=scheduler) as executor:
-        facts = executor.facts
-        assert (facts["workers"], facts["instructions"]) == (2, xla.instruction_set())
         options: dict[str, Any] = {"executor": executor, "on_progress": when_done(3, replace)}
         run.run_into(study, tmp_path / "out", chunk_runs=CHUNK, **options)
     assert read_parts(tmp_path / "out") == local_parts
-    assert f"Warning: {lost}: worker lost, its tasks run again (" in capsys.readouterr().err
-    told = read_manifest(tmp_path / "out")
-    assert (told["workers"], told["scheduler"]) == (2, scheduler)
+    manifest = read_manifest(tmp_path / "out")
+    assert (manifest["workers"], manifest["scheduler"]) == (2, scheduler)
+    assert manifest["instructions"] == xla.instruction_set()
 
 
 @pytest.mark.parametrize(
@@ -208,12 +200,10 @@ def test_workers_that_differ_are_refused(
 
 
 def test_scheduler_without_workers_is_refused_after_timeout(
-    scheduler: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.5)
-    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 1.2)
-    assert refusal_line(scheduler) == f"{scheduler}: no worker for 0.02 min"
-    assert capsys.readouterr().err.count("waiting") == 1
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.5)
+    assert refusal_line(scheduler).startswith(f"{scheduler}: no worker that runs sinsjax: ")
 
 
 def test_signal_finishes_running_chunks_and_resume_completes_sweep(
@@ -226,7 +216,7 @@ def test_signal_finishes_running_chunks_and_resume_completes_sweep(
     words = ["sinsjax", "sweep", str(config), "-o", str(out), "--chunk-runs", str(CHUNK)]
     process = start(*words, "--scheduler", scheduler)
     assert process.stdout is not None
-    first = next(line for line in iter(process.stdout.readline, "") if line.startswith("study: "))
+    first = next(line for line in iter(process.stdout.readline, "") if "failed" in line)
     os.killpg(process.pid, signal.SIGINT)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, (first, output, errors)

@@ -76,3 +76,13 @@ def test_command_and_python_refuse_alike(
     job = prepare_job(small_study(), options=RunOptions(out))
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("draws", "kept"), [(1024, True), (1025, None)])
+def test_curves_are_kept_of_a_thousand_runs(draws: int, kept: bool | None) -> None:
+    study = small_study(study={"draws": draws})
+    job = prepare_job(study, options=RunOptions(keeps_few_curves=True))
+    assert job.curves is kept
+    assert [*job.notes] == [
+        "1,025 runs: curves are kept only if [study] curves = true." for _ in range(not kept)
+    ]

@@ -180,9 +180,7 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: store.continue_job(Job(study, directory=directory)),
         lambda: run_tuning.is_tuning(directory),
         lambda: Results.read(directory),
-        lambda: forecast.check_resources(
-            study.name, expected, directory, overwrite=False, resume=True
-        ),
+        lambda: forecast.check_disk(directory, expected),
     ]
     try:
         for question in questions:
