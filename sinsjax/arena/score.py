@@ -28,12 +28,15 @@ from sinsjax.arena.suspicions import suspect
 from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import directory as results_directory
-from sinsjax.execution import resume
 from sinsjax.execution.results import Results
 from sinsjax.execution.run import ProgressCallback, run
-from sinsjax.execution.schemas import summary_columns
 from sinsjax.execution.store import write_table
-from sinsjax.execution.tables import TableBuilder, make_table, replace_column
+from sinsjax.execution.tables import (
+    TableBuilder,
+    make_table,
+    replace_column,
+    summary_columns,
+)
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance
@@ -126,8 +129,7 @@ def score_results(
     target = directory / SCORES / name if out is None else results_directory.results_path(out)
     if target.resolve() in {Path(path).resolve() for path in (directory, against) if path}:
         raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
-    results_directory.check_unlocked(target)
-    resume.check_available(target, overwrite=True, resume=False)
+    results_directory.check_available(target, overwrite=True, resume=False)
     if not overwrite and (target / results_directory.MANIFEST).exists():
         raise InputError(f"{target}: already contains results (--overwrite replaces them)")
     exported = ProgramRuns(study, range(*manifest["draws"]))

@@ -17,7 +17,7 @@ from sinsjax.columns import Column
 from sinsjax.engine.batch import CHUNK_RECORDS, LANES, STACKED_TILES
 from sinsjax.engine.scenario import MOST_STORED_SAMPLES, PROGRAM_KEYS
 from sinsjax.errors import InputError
-from sinsjax.execution import schemas
+from sinsjax.execution import tables
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.registry import METHODS
@@ -147,9 +147,9 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _KEPT_BYTES * read_samples * draws
-    run_bytes = _row_bytes(study, schemas.summary_columns(study))
+    run_bytes = _row_bytes(study, tables.summary_columns(study))
     if curves:
-        run_bytes += records * _row_bytes(study, schemas.curve_columns(study))
+        run_bytes += records * _row_bytes(study, tables.curve_columns(study))
         memory += _RECORD_BYTES * min(runs * records, max(CHUNK_RECORDS, 2 * records))
     methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
     compile_s = sum(method.compile_s for method in methods) / len(methods)

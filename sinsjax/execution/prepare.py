@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution import checks, directory, forecast, resume
+from sinsjax.execution import checks, directory, forecast, store
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
@@ -78,8 +78,8 @@ def prepare_job(
     """
     job = load_job(source, overrides, record, reference, options)
     if job.directory is not None:
-        resume.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
-        job = resume.continue_job(job) if job.resume else job
+        directory.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        job = store.continue_job(job) if job.resume else job
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
         job = job._replace(notes=(note, *job.notes))
@@ -99,8 +99,6 @@ def load_job(
     """Load a study with its record, and check that they fit, see `prepare_job`."""
     runtime.ensure_configured()
     path = None if options.directory is None else directory.results_path(options.directory)
-    if path is not None:
-        directory.check_unlocked(path)
     study = load_study(source, overrides)
     name = study.name if isinstance(source, Study) else source_name(source)
     notes, doubts, stored = list_idle_keys(study), list[str](), None
@@ -189,10 +187,9 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     """
     assert job.directory is not None
     subdirectory = job.directory / name
-    directory.check_unlocked(subdirectory)
-    resume.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
+    directory.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
     job = job._replace(study=study, curves=False, directory=subdirectory)
-    return resume.continue_job(job) if job.resume else job
+    return store.continue_job(job) if job.resume else job
 
 
 def load_increments(

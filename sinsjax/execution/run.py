@@ -10,14 +10,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
-from sinsjax.execution import resume, schemas, stopping
+from sinsjax.execution import stopping
 from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
-from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.store import DirectoryStore, open_store
 from sinsjax.execution.tasks import Executor, Job, Task, TaskResult, TaskRunner, local_executor
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
@@ -193,14 +192,9 @@ def run_job(
     assert job.directory is not None
     executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
-    if job.resume:
-        resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    store = DirectoryStore(job, session)
-    try:
+    with open_store(job, session) as store:
         _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
-    finally:
-        store.unlock()
 
 
 class _MemorySink:
@@ -233,10 +227,10 @@ def _run_to_results(
     began, sink, runner = time.monotonic(), _MemorySink(), TaskRunner(job)
     with python_progress(job.study.name, progress, on_progress) as show:
         _run_tasks(runner, sink, local_executor(), show, threading.Event())
-    curves = columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
+    tables = {"summary": sink.table("summary").sort_by("run_id")}
     if "curves" in runner.schemas:
-        curves = sink.table("curves").sort_by([("run_id", "ascending"), ("time_s", "ascending")])
-    tables = {"summary": sink.table("summary").sort_by("run_id"), "curves": curves}
+        order = [("run_id", "ascending"), ("time_s", "ascending")]
+        tables["curves"] = sink.table("curves").sort_by(order)
     return Results(job.study, time.monotonic() - began, tables=tables)
 
 
@@ -256,8 +250,10 @@ def _run_tasks(
     with closing(runner):
         for draws, tasks in zip(runner.stages, stages, strict=True):
             pending = [task for task in tasks if task in missing]
-            ready = runner.compile_ahead(pending) if executor.local else pending
-            for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
+            if executor.local:
+                runner.compile(pending)
+            ready = takewhile(lambda _: not stop.is_set(), pending)
+            for result in executor.run_tasks(runner, ready):
                 sink.add_result(result)
                 missing.remove(result.task)
                 done, failures = now.done + result.task.runs, (now.failures or 0) + result.failures

@@ -80,7 +80,8 @@ class TuningResults:
             raise _incomplete_error(directory)
         self.evaluation = Results.read(directory / EVALUATION)
         self.evaluation.directory = directory  # the one that reports name
-        assert self.evaluation.draws  # checks that no run is missing
+        if self.evaluation.unfinished:
+            raise _incomplete_error(directory)
         self.search_study = history.load_tuned_study(directory)
         self._space = SearchSpace.from_study(self.search_study)
         searches = history.read_searches(directory, self._space)

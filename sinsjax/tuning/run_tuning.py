@@ -147,9 +147,8 @@ def _prepare_directory(study: Study, session: SearchSession) -> list[SearchResul
         InputError: a search is gone, whose points are evaluated, or a file cannot be written.
     """
     directory, known = session.directory, list[SearchResult]()
+    places.remove_files(places.stale_temp_files(directory))
     try:
-        for path in places.stale_temp_files(directory):
-            path.unlink()
         if not session.job.resume:
             for name in (TUNED, history.FILE):
                 (directory / name).unlink(missing_ok=True)

@@ -6,11 +6,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from rich.console import Console
 from support.stored_results import store_results
-from support.studies import PAPER, small_study
+from support.studies import small_study
 from support.sweep_directories import (
     make_study,
     modification_times,
@@ -19,32 +18,24 @@ from support.sweep_directories import (
 )
 from support.synthetic_tables import synthetic_summary
 
-from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun, run, tasks
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.methods import registry as methods
 from sinsjax.platform import runtime, xla
-from sinsjax.records import Reference
-from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.load import study_to_toml
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
 SHORT = {"duration_s": 2.0, "window_s": [0, 2]}
 AXES = {"p0_yaw_deg": [10.0, 40.0, 60.0]}
-ZIP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 1.0, 2.0]}
-LIST = {"alignment": {"phi_u0_deg": None}, "drawn": {"phi_u0_deg": {"values": [1, 2, 3]}}}
 
 
 def study_with_draws(draws: int, **tables: Any) -> Study:
     tables = {"axes": AXES} | tables
     return small_study(**{**tables, "study": SHORT | tables.get("study", {}) | {"draws": draws}})
-
-
-# --- what is refused ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -60,16 +51,6 @@ def study_with_draws(draws: int, **tables: Any) -> Study:
             study_with_draws(80),
             study_with_draws(90, filter={"p0_level_deg": 14.0}),
             "[filter] p0_level_deg: 15.0 there, 14.0 here; [study] draws: 80 there, 90 here",
-        ),
-        (
-            study_with_draws(3, **LIST),
-            study_with_draws(4, **LIST),
-            "[drawn] phi_u0_deg.values: ends with the 3 existing draws",
-        ),
-        (
-            small_study(axes={"sched": ZIP}),
-            small_study(axes={"sched": ZIP | {"reset_cycle_s": [1.0, 1.0, 2.5]}}),
-            "[axes.sched] reset_cycle_s: [1.0, 1.0, 2.0] there, [1.0, 1.0, 2.5] here",
         ),
         (
             small_study(cases=[{"p0_yaw_deg": 40.0}, {"p0_yaw_deg": 50.0}]),
@@ -126,7 +107,7 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     smaller = os.environ | {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}
     subprocess.run(command, env=smaller, capture_output=True, check=True)
     before, here = read_files_and_times(out), xla.instruction_set()
-    told = f"out: was computed with instruction set SSE4_2, but here is {here} .use.*max_isa=SSE4_2"
+    told = f"computed with instruction set SSE4_2, but here is {here} .*xla_cpu_max_isa"
     with pytest.raises(InputError, match=told):
         run.run_into(study, out, resume=True)
     assert read_files_and_times(out) == before
@@ -134,40 +115,6 @@ def test_resume_with_other_instruction_set_is_refused(tmp_path: Path) -> None:
     theirs = tasks.local_executor()._replace(facts={"workers": 1, "instructions": "SSE4_2"})
     run.run_into(study, out, resume=True, executor=theirs)
     assert read_manifest(out)["instructions"] == "SSE4_2"
-
-
-@pytest.mark.nightly
-def test_another_record_or_reference_is_refused(tmp_path: Path) -> None:
-    study = study_from_dict(
-        {
-            "study": SHORT | {"rate_hz": 100.0},
-            "alignment": {"phi_u0_deg": 3.0},
-            "record": {"format": "psins", "start_s": [0.0, 1.0]},
-            "coarse": {"coarse_duration_s": 3.0},
-            "filter": PAPER,
-        }
-    )
-    time_s, out = np.arange(0, 6.01, 0.01), tmp_path / "out"
-    record = simulated_record(small_study())
-    reference = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
-    run.run_into(study, out, StoredRecord(record, reference))
-    before = read_files_and_times(out)
-    late = record.dv.copy()
-    late[-1, 2] += 1e-12
-    for other in (
-        StoredRecord(record._replace(dv=late), reference),
-        StoredRecord(record, None),
-        StoredRecord(record, reference._replace(attitude_deg=reference.attitude_deg + 1e-9)),
-    ):
-        with pytest.raises(InputError, match="contains results of another record or reference"):
-            run.run_into(study, out, other, resume=True)
-    assert read_files_and_times(out) == before
-    moved = StoredRecord(record._replace(source="copy.imu"), reference._replace(source="copy.csv"))
-    run.run_into(study, out, moved, resume=True)
-    assert read_manifest(out)["state"] == "complete"
-
-
-# --- more draws ---------------------------------------------------------------------------------
 
 
 def assert_extended(first: Study, second: Study, out: Path, chunk_runs: int | None = None) -> None:
@@ -193,8 +140,7 @@ def test_extended_rows_equal_sweep_with_all_draws_and_can_be_repeated(tmp_path: 
     assert read_manifest(out)["extended_at"] == [150, 170]
     whole = run.run(study_with_draws(200)).summary
     assert read_summary(out).equals(whole.cast(read_summary(out).schema))
-    for run_id in (0, 599):
-        assert rerun.rerun_stored_run(out, run_id, Console(quiet=True))
+    assert rerun.rerun_stored_run(out, 599, Console(quiet=True))
 
 
 @pytest.mark.nightly
