@@ -64,18 +64,16 @@ class Forecast(NamedTuple):
     compile_s: float
     start_s: float = _START_S
 
-    def describe(self, cores: int, done: int = 0) -> str:
-        """Return one line for a user: the cost of the runs that are not done yet."""
-        remaining = max(0, self.runs - done)
-        left = f", {remaining:,} left" if done else ""
-        later_s = self.start_s + remaining * self.run_s / cores
+    def describe(self, cores: int) -> str:
+        """Return one line for a user: what all runs cost."""
+        later_s = self.start_s + self.runs * self.run_s / cores
         first_s = later_s + self.compile_s / min(cores, self.programs)
         return (
-            f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s{left}: roughly"
+            f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s: roughly"
             f" {_format_duration(later_s)} on {format_count(cores, 'core')}"
             f" ({_format_duration(first_s)} the first time, which compiles"
             f" {format_count(self.programs, 'program')}), {decimal(int(self.memory))} of memory,"
-            f" {decimal(int(remaining * self.run_bytes))} on disk."
+            f" {decimal(int(self.runs * self.run_bytes))} on disk."
         )
 
 

@@ -170,7 +170,7 @@ def test_lost_process_is_reported_and_results_are_kept(
                 process.kill()
 
     line = {
-        "worker": r"^part-0000-\d{6}: 1 workers died while running it",
+        "worker": r"^part-0000-\d{6}: failed on a worker: KilledWorker: .* died while running it",
         "scheduler": rf"^{scheduler}: lost the scheduler \(completed chunks are stored",
     }[lost]
     with cluster.executor(scheduler=scheduler) as executor:
