@@ -105,16 +105,6 @@ def test_drawn_cross_axis_errors_act_on_earth_rate_as_biases() -> None:
     assert found[0, -1] == pytest.approx(sigma, rel=0.02)
 
 
-def test_surge_raises_bound_with_drawn_biases() -> None:
-    at_rest, surging = bound_of(
-        motion={"surge_time_s": 2.0},
-        sensors={"gyro_bias_deg_per_h": None},
-        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}},
-        axes={"surge_m_per_s": [0.0, 0.1]},
-    )
-    assert np.all(surging > 1.5 * at_rest)
-
-
 def test_fixed_errors_of_turning_base_count_as_sigmas() -> None:
     turning = {"turn_times_s": [20.0]}
     fixed = bound_of(motion=turning, sensors={"gyro_scale_ppm": -100.0, "accel_bias_ug": 0.0})
