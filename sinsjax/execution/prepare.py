@@ -98,7 +98,7 @@ def load_job(
 ) -> Job:
     """Load a study with its record, and check that they fit, see `prepare_job`."""
     runtime.ensure_configured()
-    path = None if options.directory is None else directory.results_path(options.directory)
+    path = None if options.directory is None else Path(options.directory)
     study = load_study(source, overrides)
     name = study.name if isinstance(source, Study) else source_name(source)
     notes, doubts, stored = list_idle_keys(study), list[str](), None
