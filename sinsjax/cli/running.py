@@ -40,13 +40,13 @@ def run_study(
         full: whether to print all tables.
         tunes: whether to tune the study.
         scheduler: address of a Dask scheduler; None for this process alone.
-        options: fields of `RunOptions`.
+        options: further arguments of `prepare.load_job`.
 
     Raises:
         InputError: the study cannot be run with these options.
     """
     from sinsjax.execution.directory import Manifest
-    from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.execution.prepare import prepare_job
     from sinsjax.execution.progress import show_progress
     from sinsjax.execution.run import run_job
     from sinsjax.study.changes import parse_changes
@@ -59,10 +59,11 @@ def run_study(
         raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
     runtime.configure(devices)
     runtime.start_backend()
-    file = config.name if config.is_absolute() else config.as_posix()
-    given = RunOptions(source=f"{file} with {', '.join(changes)}" if changes else file, **options)
+    if changes:
+        file = config.name if config.is_absolute() else config.as_posix()
+        options["source"] = f"{file} with {', '.join(changes)}"
     prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
-    job = prepare(config, parse_changes(changes or ()), *files, given)
+    job = prepare(config, parse_changes(changes or ()), *files, **options)
     assert job.directory is not None and job.forecast is not None
     stored = Manifest.find(job.directory) if job.resume and not tunes else None
     with ExitStack() as stack:

@@ -7,11 +7,13 @@ checks nothing again. Nothing is created or changed.
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution import checks, directory, forecast, store
+from sinsjax.execution import checks, forecast
+from sinsjax.execution.directory import check_available
 from sinsjax.execution.forecast import Forecast
+from sinsjax.execution.store import continue_job
 from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
@@ -27,46 +29,21 @@ MOST_CURVE_RUNS = 1024
 """Largest number of runs whose curves are all kept without being asked for."""
 
 
-class RunOptions(NamedTuple):
-    """Options of a run.
-
-    Attributes:
-        directory: results directory; None for tables in memory.
-        curves: whether to keep curves; None follows the study.
-        keeps_few_curves: whether to keep the curves of up to `MOST_CURVE_RUNS` runs in any case.
-        chunk_runs: runs per chunk; None for the default.
-        overwrite: whether to replace existing results.
-        resume: whether to continue existing results.
-        source: label of the study in the manifest; None for its file, if it has one.
-    """
-
-    directory: str | Path | None = None
-    curves: bool | None = None
-    keeps_few_curves: bool = False
-    chunk_runs: int | None = None
-    overwrite: bool = False
-    resume: bool = False
-    source: str | None = None
-
-
-_DEFAULTS = RunOptions()
-
-
 def prepare_job(
-    source: Path | str | Study,
+    study: Path | str | Study,
     overrides: Mapping[str, Any] | None = None,
     record: StoredRecord | Path | str | None = None,
     reference: Path | str | None = None,
-    options: RunOptions = _DEFAULTS,
+    **options: Any,
 ) -> Job:
     """Check a study with its record and options, and forecast its cost.
 
     Args:
-        source: study file, name of a shipped study, or study.
+        study: study file, name of a shipped study, or study.
         overrides: values by ``section.key``, see `Study.replace`.
         record: inertial record of a recorded study, or its file.
         reference: file of the reference attitude of a record that is a file.
-        options: options of the run.
+        options: further arguments of `load_job`.
 
     Returns:
         The job, at the rate of its record, with warnings, notes and forecast.
@@ -76,10 +53,10 @@ def prepare_job(
             wrong; the directory cannot be used or contains results of another study; disk or memory
             are too small; or double precision cannot be enabled.
     """
-    job = load_job(source, overrides, record, reference, options)
+    job = load_job(study, overrides, record, reference, **options)
     if job.directory is not None:
-        directory.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
-        job = store.continue_job(job) if job.resume else job
+        check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        job = continue_job(job) if job.resume else job
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
         job = job._replace(notes=(note, *job.notes))
@@ -90,17 +67,25 @@ def prepare_job(
 
 
 def load_job(
-    source: Path | str | Study,
+    study: Path | str | Study,
     overrides: Mapping[str, Any] | None,
     record: StoredRecord | Path | str | None,
     reference: Path | str | None,
-    options: RunOptions,
+    *,
+    directory: str | Path | None = None,
+    keeps_few_curves: bool = False,
+    **options: Any,
 ) -> Job:
-    """Load a study with its record, and check that they fit, see `prepare_job`."""
+    """Load a study with its record, and check that they fit.
+
+    The arguments are those of `prepare_job`; the results directory; whether to keep the curves of
+    up to `MOST_CURVE_RUNS` runs in any case; and further fields of `Job`.
+    """
     runtime.ensure_configured()
-    path = None if options.directory is None else Path(options.directory)
-    study = load_study(source, overrides)
-    name = study.name if isinstance(source, Study) else source_name(source)
+    path = None if directory is None else Path(directory)
+    file = None if isinstance(study, Study) else Path(study)
+    name = study.name if isinstance(study, Study) else source_name(study)
+    study = load_study(study, overrides)
     notes, doubts, stored = list_idle_keys(study), list[str](), None
     checks.refuse_external(study.study.external, name)
     given = reference if record is None else record
@@ -114,29 +99,17 @@ def load_job(
         stored = _read_record(study, record, reference)
         study = with_rate(study, stored.record.rate_hz)
         doubts = checks.check_record(study, stored)
-    if path is not None and options.resume and not path.exists():
-        notes.append(f"{path}: no results to resume, all runs are new.")
-    curves, runs = options.curves, study.n_draws * study.n_variants
-    if options.keeps_few_curves and runs <= MOST_CURVE_RUNS:
-        curves = True
-    elif options.keeps_few_curves and not study.study.curves:
+    runs = study.n_draws * study.n_variants
+    if keeps_few_curves and runs <= MOST_CURVE_RUNS:
+        options["curves"] = True
+    elif keeps_few_curves and not study.study.curves:
         notes.append(f"{runs:,} runs: curves are kept only if [study] curves = true.")
-    label = options.source
-    if label is None and not isinstance(source, Study):
-        # An absolute path means nothing on another machine.
-        label = Path(source).name if Path(source).is_absolute() else Path(source).as_posix()
-    return Job(
-        study,
-        stored,
-        curves=curves,
-        chunk_runs=options.chunk_runs,
-        directory=path,
-        overwrite=options.overwrite,
-        resume=options.resume,
-        source=label,
-        warnings=tuple(doubts),
-        notes=tuple(notes),
-    )
+    if file is not None:  # an absolute path means nothing on another machine
+        options.setdefault("source", file.name if file.is_absolute() else file.as_posix())
+    if path is not None and options.get("resume") and not path.exists():
+        notes.append(f"{path}: no results to resume, all runs are new.")
+    options |= {"directory": path, "warnings": tuple(doubts), "notes": tuple(notes)}
+    return Job(study, stored, **options)
 
 
 def finish_job(job: Job, cost: Forecast) -> Job:
@@ -187,9 +160,9 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     """
     assert job.directory is not None
     subdirectory = job.directory / name
-    directory.check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
+    check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
     job = job._replace(study=study, curves=False, directory=subdirectory)
-    return store.continue_job(job) if job.resume else job
+    return continue_job(job) if job.resume else job
 
 
 def load_increments(

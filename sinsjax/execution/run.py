@@ -13,7 +13,7 @@ import pyarrow as pa
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import stopping
 from sinsjax.execution.directory import Manifest
-from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
+from sinsjax.execution.prepare import issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
 from sinsjax.execution.store import DirectoryStore, open_store
@@ -55,8 +55,7 @@ def run(
         >>> results.summary.select(["case", "reset_count"]).slice(2, 1).to_pylist()
         [{'case': 'condition 5 with resets', 'reset_count': 3}]
     """
-    options = RunOptions(curves=curves, chunk_runs=chunk_runs)
-    job = issue_warnings(prepare_job(study, None, record, None, options))
+    job = issue_warnings(prepare_job(study, None, record, curves=curves, chunk_runs=chunk_runs))
     return _run_to_results(job, progress, on_progress)
 
 
@@ -108,8 +107,8 @@ def align(
         >>> [round(heading) for heading in results.summary["heading_deg"].to_pylist()]
         [359]
     """
-    options = RunOptions(curves=curves, keeps_few_curves=curves is None)
-    job = issue_warnings(prepare_job(study, overrides, record, reference, options))
+    options = {"curves": curves, "keeps_few_curves": curves is None}
+    job = issue_warnings(prepare_job(study, overrides, record, reference, **options))
     return _run_to_results(job, progress, on_progress)
 
 
@@ -159,14 +158,14 @@ def run_into(  # noqa: PLR0913
         >>> sinsjax.read_summary("out").num_rows
         6
     """
-    options = RunOptions(directory, curves, False, chunk_runs, overwrite, resume)
-    began = time.monotonic()
-    job = issue_warnings(prepare_job(study, None, record, None, options))
+    began, path = time.monotonic(), Path(directory)
+    options: dict[str, Any] = {"curves": curves, "chunk_runs": chunk_runs}
+    options |= {"directory": path, "overwrite": overwrite, "resume": resume}
+    job = issue_warnings(prepare_job(study, None, record, **options))
     with python_progress(job.study.name, progress, on_progress) as show:
         run_job(job, executor=executor, on_progress=show, stop=stop)
-    assert job.directory is not None
-    manifest = Manifest.read(job.directory)
-    return Results(job.study, time.monotonic() - began, directory=job.directory, manifest=manifest)
+    took_s = time.monotonic() - began
+    return Results(job.study, took_s, directory=path, manifest=Manifest.read(path))
 
 
 def run_job(

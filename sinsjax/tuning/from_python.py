@@ -2,8 +2,9 @@
 
 import threading
 from pathlib import Path
+from typing import Any
 
-from sinsjax.execution.prepare import RunOptions, issue_warnings
+from sinsjax.execution.prepare import issue_warnings
 from sinsjax.execution.progress import python_progress
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
@@ -51,9 +52,8 @@ def tune(
         >>> tuned.score.value < tuned.baseline.value
         True
     """
-    options = RunOptions(directory, overwrite=overwrite, resume=resume)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options))
+    given: dict[str, Any] = {"directory": directory, "overwrite": overwrite, "resume": resume}
+    job = issue_warnings(prepare_tuning(study, None, record, **given))
     name = job.study.name
     run_tuning(job, lambda search: python_progress(f"{name}: {search}", progress), stop)
-    assert job.directory is not None
-    return TuningResults(job.directory)
+    return TuningResults(Path(directory))

@@ -18,7 +18,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import RunOptions, finish_job, load_job
+from sinsjax.execution.prepare import finish_job, load_job
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
@@ -45,18 +45,18 @@ _NAMES = (STUDY, TUNED, history.FILE, "figures", *_SEARCHES, EVALUATION)
 
 
 def prepare_tuning(
-    source: Path | str | Study,
-    overrides: Mapping[str, Any] | None,
-    record: StoredRecord | Path | str | None,
-    reference: Path | str | None,
-    options: RunOptions,
+    study: Path | str | Study,
+    overrides: Mapping[str, Any] | None = None,
+    record: StoredRecord | Path | str | None = None,
+    reference: Path | str | None = None,
+    **options: Any,
 ) -> Job:
     """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
 
     Raises:
         InputError: as `from_python.tune`.
     """
-    job = load_job(source, overrides, record, reference, options)
+    job = load_job(study, overrides, record, reference, **options)
     require_tune(job.study)
     if job.directory is not None:
         check_directory(job.directory, overwrite=job.overwrite, resume=job.resume)

@@ -31,7 +31,7 @@ from sinsjax import plots
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory, forecast, store
 from sinsjax.execution import run as study_run
-from sinsjax.execution.prepare import RunOptions, prepare_job
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.execution.tasks import Job
@@ -208,8 +208,8 @@ def test_results_written_before_lock_are_not_lost(
         (other, CHUNK_RUNS, True, "contains results of another study"),
         (other, CHUNK_RUNS, False, "already contains results"),
     ):
-        options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=resume)
-        late = prepare_job(study, options=options)._replace(directory=out)
+        options = {"directory": tmp_path / "new", "chunk_runs": chunk_runs, "resume": resume}
+        late = prepare_job(study, **options)._replace(directory=out)
         with (
             pytest.raises(InputError, match=line),
             store.open_store(late, runtime.describe_environment()),

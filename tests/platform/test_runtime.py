@@ -33,10 +33,8 @@ def test_configure_after_jax_start_warns_once_of_other_device_count(
     runtime.configure(devices=2)
     runtime.configure()
     assert not recwarn.list
-    told = (
-        r"started already, with 2 CPU device\(s\) instead of 3: .*\.configure\(devices=3\) before"
-    )
-    with pytest.warns(xla.ConfigurationWarning, match=told):
+    line = r"with 2 CPU device\(s\) instead of 3: .*\.configure\(devices=3\) before"
+    with pytest.warns(xla.ConfigurationWarning, match=line):
         runtime.configure(devices=3)
     runtime.configure(devices=3)
     assert not recwarn.list
@@ -44,8 +42,7 @@ def test_configure_after_jax_start_warns_once_of_other_device_count(
         runtime.configure(devices=0)
 
 
-def test_import_changes_nothing() -> None:
-    """Environment, cores and warning filters stay; public names are imported at first use."""
+def test_import_changes_nothing_and_loads_nothing_heavy() -> None:
     done = run_python(
         """
 import os, sys, warnings
@@ -83,13 +80,11 @@ import jax, sinsjax  # JAX is imported, but has not started
 sinsjax.configure(devices=3)
 print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
 """,
-        XLA_FLAGS="--xla_force_host_platform_device_count=4 --xla_cpu_prefer_vector_width=256",
+        XLA_FLAGS="--xla_cpu_prefer_vector_width=256",
     )
     flags, info = json.loads(done.stdout)
     options = xla.required_options() | {"xla_cpu_prefer_vector_width": "256"}
-    set_ = options | {"xla_force_host_platform_device_count": "4"}
-    assert xla.parse_flags(flags) == set_
-    assert info["options"] == options
+    assert xla.parse_flags(flags) == info["options"] == options
     assert (info["x64"], len(info["devices"])) == (True, 3)
     assert done.stderr == ""
 
@@ -102,22 +97,17 @@ def test_run_after_jax_start_warns_once_and_computes_in_double_precision() -> No
 import jax.numpy as jnp
 assert jnp.ones(3).dtype == "float32"
 import sinsjax
-study = sinsjax.study_from_dict({
-    "study": {"duration_s": 2.0, "rate_hz": 20.0, "draws": 1, "record_interval_s": 0.1},
-    "earth": {"latitude_deg": 48.0}, "motion": {"yaw_center_deg": 10.0},
-    "alignment": {"method": "inertial"},
-})
-sinsjax.run(study)
-sinsjax.configure()
-sinsjax.run(study)
+for _ in range(2):
+    sinsjax.simulated_record("paper1_resets")
+    sinsjax.configure()
 assert jnp.ones(3).dtype == "float64"
 """,
         XLA_FLAGS="--xla_cpu_max_isa=AVX2",
         JAX_NUM_CPU_DEVICES=str(runtime.usable_cores()),
     )
     assert done.stderr.count("Warning") == 1
-    told = "ConfigurationWarning: JAX has started already, without sinsjax's compiler options (runs"
-    assert told in done.stderr
+    line = "ConfigurationWarning: JAX has started already, without sinsjax's compiler options (runs"
+    assert line in done.stderr
 
 
 CALLS = {
@@ -165,21 +155,19 @@ X86 = "fpu sse4_2 avx f16c"
 
 
 @pytest.mark.parametrize(
-    ("told", "limit", "expected"),
+    ("cpu", "limit", "expected"),
     [
         ({"flags": X86}, "", "AVX"),
-        ({"flags": f"{X86} avx2 avx512f avx512_bf16 amx_tile"}, "", "AVX512"),
         ({"flags": f"{X86} avx2 avx512f"}, "avx2", "AVX2"),
         ({"flags": X86}, "AVX2", "AVX"),
         ({"Features": "fp asimd sve2 sve"}, "", "SVE"),
         ({"Features": "fp asimd"}, "", "NEON"),
-        ({}, "", "x86_64"),
         ({}, "AVX2", "x86_64 to AVX2"),
     ],
 )
 def test_instruction_set_follows_cpu_flags_and_xla_limit(
-    monkeypatch: pytest.MonkeyPatch, told: dict[str, str], limit: str, expected: str
+    monkeypatch: pytest.MonkeyPatch, cpu: dict[str, str], limit: str, expected: str
 ) -> None:
-    monkeypatch.setattr(machine, "cpu_info", lambda: told)
+    monkeypatch.setattr(machine, "cpu_info", lambda: cpu)
     monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
     assert machine.instruction_set(limit) == expected
