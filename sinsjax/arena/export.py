@@ -31,7 +31,7 @@ from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.arena.simulated_record import simulated_records
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, check_directory, lock_directory, results_path
+from sinsjax.execution.directory import STUDY, check_directory, lock_directory
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
@@ -125,7 +125,7 @@ def export_study(  # noqa: PLR0913
     if not 0 <= first < end <= study.n_draws:
         text = f"must be A:B with 0 <= A < B <= {study.n_draws}, the draws of {study.name}"
         raise InputError(f"draws: {first}:{end}: {text}")
-    out = results_path(directory)
+    out = Path(directory)
     _check_target(out, overwrite=overwrite)
     if study.drawn is None or study.drawn.sampling == "random":  # else fewer draws are others
         study = with_draws(study, end)

@@ -126,7 +126,7 @@ def score_results(
         text = "must begin with a letter or digit, then have these, blanks and . _ + - (at most 60)"
         raise InputError(f"--name: {to_one_line(name)!r} {text}")
     study, manifest = read_export(directory)
-    target = directory / SCORES / name if out is None else results_directory.results_path(out)
+    target = directory / SCORES / name if out is None else Path(out)
     if target.resolve() in {Path(path).resolve() for path in (directory, against) if path}:
         raise InputError(f"{target}: is read, and cannot be written to (give another with --out)")
     results_directory.check_available(target, overwrite=True, resume=False)

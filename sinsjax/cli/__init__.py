@@ -201,8 +201,8 @@ def rerun(
     run_id: Annotated[
         int, typer.Option(help="Number of the run.", min=0, show_default=False, metavar="N")
     ],
-    given: Annotated[
-        str | None,
+    out: Annotated[
+        Path | None,
         typer.Option(
             "--out",
             "-o",
@@ -218,7 +218,6 @@ def rerun(
     Example: sinsjax rerun out --run-id 17
     """
     from sinsjax.execution import rerun as rerunning
-    from sinsjax.execution.directory import results_path
     from sinsjax.tuning import history, run_tuning
 
     runtime.configure()
@@ -228,9 +227,8 @@ def rerun(
             f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
         )
     runtime.start_backend()
-    out_path = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out_path, files=files):
+    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 

@@ -42,7 +42,6 @@ class Manifest(BaseModel):
         runs_done: number of runs that were stored when it was written.
         wall_s: duration of all sessions, s.
         draws: number of draws of the stored study; None for a record.
-        external: programs outside sinsjax of that study.
     """
 
     model_config = ConfigDict(allow_inf_nan=False)
@@ -64,9 +63,6 @@ class Manifest(BaseModel):
     record_latitude_deg: float | None = None
     study: dict[str, Any] = {}
     draws: int | None = Field(default=None, validation_alias=AliasPath("study", "study", "draws"))
-    external: tuple[str, ...] = Field(
-        default=(), validation_alias=AliasPath("study", "study", "external")
-    )
 
     @classmethod
     def read(cls, directory: Path, *, any_version: bool = False) -> "Manifest":
@@ -121,17 +117,10 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     return Manifest.read(Path(directory)).entries
 
 
-def results_path(directory: str | Path) -> Path:
-    """Return the path of a results directory; a name that is empty or not UTF-8 is refused."""
-    name = str(directory)
-    if not name or name != name.encode(errors="ignore").decode():
-        text = "is no name for results: it must be UTF-8 and not empty ('.' is this folder)"
-        raise InputError(f"{name or repr(name)}: {text}")
-    return Path(directory)
-
-
 def check_directory(directory: Path) -> None:
     """Reject a directory in which a link or a pipe replaces a file or folder of results."""
+    if str(directory) != str(directory).encode(errors="ignore").decode():
+        raise InputError(f"{directory}: results need a folder whose name is UTF-8 (rename it)")
     try:
         if directory.exists() and not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")

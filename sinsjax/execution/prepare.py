@@ -11,7 +11,7 @@ from typing import Any
 
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import checks, forecast
-from sinsjax.execution.directory import check_available, results_path
+from sinsjax.execution.directory import check_available
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.store import continue_job
 from sinsjax.execution.tasks import Job
@@ -79,7 +79,7 @@ def load_job(
     up to `MOST_CURVE_RUNS` runs in any case; and further fields of `Job`.
     """
     runtime.ensure_configured()
-    path = None if directory is None else results_path(directory)
+    path = None if directory is None else Path(directory)
     file = None if isinstance(study, Study) else Path(study)
     name = study.name if isinstance(study, Study) else source_name(study)
     study = load_study(study, overrides)

@@ -56,21 +56,10 @@ def rerun_stored_run(
     out: Path | None = None,
     files: tuple[Path | None, Path | None] = (None, None),
 ) -> bool:
-    """Repeat one run of stored results, compare its row, and write row, curve and figure.
+    """Repeat one run of stored results, and write its row, curve and figure.
 
-    Args:
-        directory: results directory.
-        run_id: number of the run.
-        console: where to print the row and the comparison.
-        out: directory to write to; None for ``reruns/RUN_ID`` in the results directory.
-        files: record and reference of a recorded study.
-
-    Returns:
-        Whether the row is identical to the stored one.
-
-    Raises:
-        InputError: there are no results or no such run, the record is a different one, or the
-            files cannot be written.
+    They go to ``reruns/RUN_ID`` or to another directory. A recorded study needs the files of its
+    record and reference. Return whether the row is identical to the stored one.
     """
     results = Results.read(directory)
     study, manifest, target = results.study, results.manifest, out or directory / f"reruns/{run_id}"

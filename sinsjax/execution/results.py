@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,22 +19,19 @@ from sinsjax.execution.directory import (
     Manifest,
     check_directory,
     list_parts,
-    results_path,
 )
 from sinsjax.messages import first_error_line, format_count, to_one_line
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study import display
-from sinsjax.study.identity import describe_differences, sections_to_json
+from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessMeasure, success_measures
-from sinsjax.study.sweep import without_gone_settings
 
 STUDY_METADATA, CHUNK_METADATA = "sinsjax.study", "sinsjax.chunk"
 """Metadata of a part: identity of its job, and its chunk as JSON."""
 
 _RESUME_HINT = "`--resume` computes damaged parts again"
-_READERS = 4  # threads; hashing releases Python's lock
 
 
 class Results:
@@ -77,7 +73,7 @@ class Results:
         self.warnings, self.unfinished = tuple(map(to_one_line, self.manifest.warnings)), False
         no_curves = columns.arrow_schema(columns.CURVES).empty_table()
         self._tables = {"curves": no_curves, **(tables or {})}
-        self._parts = StoredParts(directory, manifest) if directory and tables is None else None
+        self._parts = StoredParts(directory, manifest) if directory and manifest else None
         self._whole: Any = None  # expression that selects the rows of whole draws
 
     @classmethod
@@ -96,21 +92,20 @@ class Results:
             >>> sinsjax.Results.read("out").summary.num_rows
             6
         """
-        directory = results_path(directory)
+        directory = Path(directory)
         check_directory(directory)
         manifest = Manifest.read(directory)
         study = _load_study(directory, manifest)
         results = cls(study, manifest.wall_s, directory=directory, manifest=manifest)
         planned, runs = study.n_draws * study.n_variants, results.runs  # verifies the summary
         if runs < planned and manifest.state != "complete":
-            results._select_whole_draws(f"{runs:,} of {planned:,} runs", runs / planned)
+            results._select_whole_draws(f"unfinished: {runs:,} of {planned:,} runs are done")
         return results
 
-    def _select_whole_draws(self, done: str, share: float) -> None:
+    def _select_whole_draws(self, progress: str) -> None:
         """Restrict the results to draws that every variant has, for a fair comparison."""
         draws, counts = np.unique(self.rows(["draw_id"])["draw_id"], return_counts=True)
         whole = draws[counts == self.study.n_variants]
-        progress = f"unfinished: {done} are done ({100 * share:.2g} %)"
         if not len(whole):
             text = f"{progress}, and no draw that every variant has (continue with `--resume`)"
             raise InputError(f"{self.directory}: {text}")
@@ -191,10 +186,7 @@ class Results:
 
     @cached_property
     def success_measures(self) -> tuple[SuccessMeasure, ...]:
-        """Success criteria of the study, its own first.
-
-        Truth and bias floor are left out if no run has one.
-        """
+        """Success criteria of the study that some run has, its own first."""
         criteria = success_measures(self.study)
         flags = self.rows([criterion.ok_column for criterion in criteria])
         return tuple(c for c in criteria if flags[c.ok_column].null_count < flags.num_rows)
@@ -215,7 +207,7 @@ class Results:
 def _load_study(directory: Path, manifest: Manifest) -> Study:
     """Load the study of a results directory, which must be that of its manifest."""
     study = load_study(directory / STUDY)
-    if without_gone_settings(manifest.study) != sections_to_json(study):
+    if manifest.fingerprint != fingerprint(study):
         differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
         text = f"is not the study of the results: {'; '.join(differing)}"
         remedy = "(restore it, or delete it: `--resume` writes it again)"
@@ -270,16 +262,15 @@ def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.T
 
 
 def _open_parts(directory: str | Path) -> "StoredParts":
-    """Return the parts of a directory, whose manifest may be missing."""
     directory = Path(directory)
     check_directory(directory)
-    return StoredParts(directory, Manifest.find(directory))
+    return StoredParts(directory, Manifest.read(directory))
 
 
 class StoredParts:
     """The parts of a results directory, verified with its manifest before their rows are read."""
 
-    def __init__(self, directory: Path, manifest: Manifest | None) -> None:
+    def __init__(self, directory: Path, manifest: Manifest) -> None:
         self._directory, self._manifest = directory, manifest
         self._datasets: dict[str, Any] = {}  # None without parts
 
@@ -308,13 +299,12 @@ class StoredParts:
 
         complete = list_parts(self._directory, "summary")  # first: their curves are there
         parts, manifest = list_parts(self._directory, dataset), self._manifest
-        with ThreadPoolExecutor(_READERS) as pool:
-            rows = sum(pool.map(self._verify_part, parts))
+        rows = sum(map(self._verify_part, parts))
         missing = {path.name for path in complete} - {path.name for path in parts}
-        if manifest and dataset == "summary" and rows < manifest.runs_done:
+        if dataset == "summary" and rows < manifest.runs_done:
             text = f"parts are missing: {rows:,} of {manifest.runs_done:,} runs are there"
             raise InputError(f"{self._directory / dataset}: {text} ({_RESUME_HINT})")
-        if manifest and manifest.curves and dataset == "curves" and missing:
+        if dataset == "curves" and manifest.curves and missing:
             path = self._directory / dataset / min(missing)
             raise InputError(f"{path}: is missing ({_RESUME_HINT})")
         if not parts and dataset == "summary":
@@ -326,12 +316,11 @@ class StoredParts:
         metadata = read_part_metadata(read_regular_file(path))
         if metadata is None:
             raise InputError(f"{path}: has changed since it was written ({_RESUME_HINT})")
-        chunk = json.loads(metadata[CHUNK_METADATA])
-        if (chunk["dataset"], chunk["name"]) != (path.parent.name, path.stem):
-            text = f"is part {chunk['dataset']}/{chunk['name']} under another name"
+        identity, chunk = metadata[STUDY_METADATA], json.loads(metadata[CHUNK_METADATA])
+        place = (path.parent.name, path.stem, self._manifest.identity)
+        if (chunk["dataset"], chunk["name"], identity) != place:
+            text = "is a part of another study's results, or under another name"
             raise InputError(f"{path}: {text} ({_RESUME_HINT})")
-        if self._manifest and metadata[STUDY_METADATA] != self._manifest.identity:
-            raise InputError(f"{path}: is a part of another study's results ({_RESUME_HINT})")
         return chunk["rows"]
 
 

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
-from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, Manifest
 from sinsjax.execution.results import read_part_metadata
 from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
@@ -47,28 +46,20 @@ def continue_job(job: Job) -> Job:
     manifest = Manifest.find(job.directory)
     if manifest is None:
         return job
-    refuse_external(manifest.external, job.directory)
-    ends = {*manifest.extended_at}
-    if manifest.fingerprint != fingerprint(job.study):
-        ends.add(_stored_draws(job, manifest))
+    ends, study, stored = {*manifest.extended_at}, job.study, manifest.draws or 0
+    if manifest.fingerprint != fingerprint(study):
+        if not 0 < stored <= (study.study.draws or 0) or (
+            fingerprint(with_draws(study, stored)) != manifest.fingerprint
+        ):
+            text = "; ".join(describe_differences(manifest.study, study))
+            raise InputError(f"{job.directory}: contains results of another study: {text}")
+        ends.add(stored)
     job = job._replace(
         curves=manifest.curves, chunk_runs=manifest.chunk_runs, extended_at=tuple(sorted(ends))
     )
     if manifest.identity != job.identity:
         raise InputError(f"{job.directory}: contains results of another record or reference")
     return job
-
-
-def _stored_draws(job: Job, manifest: Manifest) -> int:
-    """Return the number of stored draws, to which a study only adds more; refuse other studies."""
-    study, stored, draws = job.study, manifest.draws or 0, job.study.study.draws or 0
-    only_draws = stored and draws and fingerprint(with_draws(study, stored)) == manifest.fingerprint
-    if only_draws and draws >= stored:
-        return stored
-    text = "; ".join(describe_differences(manifest.study, study))
-    if only_draws:
-        text += f" (draws can be added, not removed: continue with --draws {stored})"
-    raise InputError(f"{job.directory}: contains results of another study: {text}")
 
 
 def _check_environment(job: Job, manifest: Manifest, session: Mapping[str, Any]) -> None:
@@ -89,9 +80,7 @@ def _check_environment(job: Job, manifest: Manifest, session: Mapping[str, Any])
 def open_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore"]:
     """Lock and prepare the directory of a job, for the duration of a ``with`` block.
 
-    Args:
-        job: prepared job with a directory.
-        session: manifest entries about the machines of this session.
+    ``session`` has manifest entries about the machines of this session.
     """
     assert job.directory is not None
     lock = places.lock_directory(job.directory)

@@ -128,10 +128,7 @@ class TableBuilder:
     def __init__(self, study: Study, *, has_truth: bool = True, curves: bool = False) -> None:
         """Prepare the columns that do not depend on the chunk.
 
-        Args:
-            study: checked study.
-            has_truth: False for a record without a reference; columns that need one are null.
-            curves: whether the chunks have curves.
+        A record without a reference has no truth; columns that need one are null.
         """
         self._study, self._has_truth = study, has_truth
         self.schemas = {"curves": curve_columns(study)} if curves else {}
@@ -150,7 +147,7 @@ class TableBuilder:
             self._start_s = np.where(np.abs(actual_s - given_s) < 1e-6, given_s, actual_s)
 
     def make_tables(self, chunk: Chunk, variant_ids: np.ndarray) -> dict[str, pa.Table]:
-        """Return the tables of a chunk by dataset; the arguments are those of `summary_table`."""
+        """Return the tables of a chunk by dataset, see `summary_table`."""
         tables = {"summary": self.summary_table(chunk, variant_ids)}
         if "curves" in self.schemas:
             tables["curves"] = self._curve_table(chunk, variant_ids)
@@ -159,9 +156,7 @@ class TableBuilder:
     def summary_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the summary of a chunk, one row per run.
 
-        Args:
-            chunk: engine results.
-            variant_ids: (variants of the program,) their numbers in the study.
+        ``variant_ids``, (variants of the program,), are their numbers in the study.
         """
         study, outcome, draw = self._study, chunk.outcome, chunk.draw
         variant = variant_ids[chunk.variant]

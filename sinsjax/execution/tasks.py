@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads, target_devices
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
 from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
@@ -257,11 +257,8 @@ class Executor(NamedTuple):
 def local_executor() -> Executor:
     """Return an executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
-    description = (
-        "threads over one program" if len(target_devices()) == 1 else "devices with a program each"
-    )
     return Executor(
         lambda runner, tasks: map_in_threads(runner.compute, tasks, devices),
-        {"devices": devices, "devices_are": description},
+        {"devices": devices},
         local=True,
     )

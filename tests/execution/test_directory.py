@@ -64,12 +64,6 @@ def test_figure_drawn_no_longer_is_removed_unless_another_program_wrote_it(tmp_p
     assert owned_files(tmp_path) == [figures / "c.png"]
 
 
-@pytest.mark.parametrize("name", ["", "o\udcff"])
-def test_results_directory_without_a_usable_name_is_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is no name for results"):
-        sinsjax.run_into(small_study(), name)
-
-
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a results directory of a sweep."""

@@ -44,8 +44,7 @@ def study_with_draws(draws: int, **tables: Any) -> Study:
         (
             study_with_draws(80),
             study_with_draws(79),
-            "[study] draws: 80 there, 79 here"
-            " (draws can be added, not removed: continue with --draws 80)",
+            "[study] draws: 80 there, 79 here",
         ),
         (
             study_with_draws(80),
