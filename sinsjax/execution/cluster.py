@@ -130,7 +130,10 @@ def _run_tasks(
     run = partial(run_task_on_worker, name, required)
     options = {"pure": False, "retries": _RETRIES}
     try:
-        job, completed = client.submit(bytes, content, key=name), as_completed(loop=client.loop)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a large graph: a record is sent once
+            job = client.submit(bytes, content, key=name)
+        completed = as_completed(loop=client.loop)
         while True:
             room = TASKS_PER_THREAD * max(1, sum(client.nthreads().values())) - len(running)
             if batch := list(islice(remaining, max(0, room))):
