@@ -11,7 +11,7 @@ from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
 from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import HeadingProblem
-from sinsjax.execution.information import budget_problem
+from sinsjax.bounds.study_bound import budget_problem
 
 SOURCES = {
     "gyro_bias": "gyro turn-on bias",

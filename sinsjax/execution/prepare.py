@@ -83,7 +83,7 @@ def load_job(
     file = None if isinstance(study, Study) else Path(study)
     name = study.name if isinstance(study, Study) else source_name(study)
     study = load_study(study, overrides)
-    notes, doubts, stored = list_idle_keys(study), list[str](), None
+    notes, doubts = list_idle_keys(study), list[str]()
     checks.refuse_external(study.study.external, name)
     given = reference if record is None else record
     if given is not None and not study.is_recorded:
@@ -92,10 +92,11 @@ def load_job(
     if study.is_recorded and record is None:
         hint = "`sinsjax align RECORD`, `sinsjax tune --record`, in Python `sinsjax.align`"
         raise InputError(f"{name}: [record]: the study needs a record ({hint})")
+    if isinstance(record, Path | str):
+        record = load_increments(study, record, reference)
     if record is not None:
-        stored = _read_record(study, record, reference)
-        study = with_rate(study, stored.record.rate_hz)
-        doubts = checks.check_record(study, stored)
+        study = with_rate(study, record.record.rate_hz)
+        doubts = checks.check_record(study, record)
     runs = study.n_draws * study.n_variants
     if keeps_few_curves and runs <= MOST_CURVE_RUNS:
         options["curves"] = True
@@ -106,7 +107,7 @@ def load_job(
     if path is not None and options.get("resume") and not path.exists():
         notes.append(f"{path}: no results to resume, all runs are new.")
     options |= {"directory": path, "warnings": tuple(doubts), "notes": tuple(notes)}
-    return Job(study, stored, **options)
+    return Job(study, record, **options)
 
 
 def finish_job(job: Job, cost: Forecast) -> Job:
@@ -122,20 +123,6 @@ def finish_job(job: Job, cost: Forecast) -> Job:
     if study.dropped_s:
         notes += (f"The last {study.dropped_s:g} s do not fill a record interval and are not run.",)
     return job._replace(warnings=doubts, notes=notes, forecast=cost)
-
-
-def _read_record(
-    study: Study, record: StoredRecord | Path | str, reference: Path | str | None
-) -> StoredRecord:
-    """Return the record of a study, which is that or its file."""
-    if isinstance(record, Path | str):
-        return load_increments(study, record, reference)
-    if not isinstance(record, StoredRecord):
-        raise InputError(
-            f"{study.name}: record: must be what sinsjax.load_increments or"
-            f" sinsjax.record_from_arrays returns, not a {type(record).__name__}"
-        )
-    return record
 
 
 def issue_warnings(job: Job) -> Job:

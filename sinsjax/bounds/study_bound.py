@@ -31,7 +31,6 @@ from sinsjax.engine.scenario import (
     read_sways,
 )
 from sinsjax.errors import InputError
-from sinsjax.execution.tables import make_table
 from sinsjax.maths.rotations import matrix
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.platform import runtime
@@ -105,8 +104,8 @@ def information_bound(study: Study | str | Path) -> pa.Table:
             sigmas = heading_bound(times, _heading_problem(scenario, part)) / ARCMIN
             bounds[base] = list(zip(times, sigmas, strict=True))
         rows += [(variant, *row) for variant in ids for row in bounds[base]]
-    by_column = zip(*sorted(rows), strict=True)
-    return make_table(_COLUMNS, dict(zip((c.name for c in _COLUMNS), by_column, strict=True)))
+    values = [pa.array(column) for column in zip(*sorted(rows), strict=True)]
+    return pa.Table.from_arrays(values, schema=columns.arrow_schema(_COLUMNS))
 
 
 def budget_problem(study: Study) -> HeadingProblem:
