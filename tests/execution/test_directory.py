@@ -110,22 +110,6 @@ def test_links_and_pipes_in_results_are_refused_unchanged(
     assert read_files_and_times(tmp_path) == before
 
 
-def test_part_through_link_is_computed_again_and_its_target_kept(
-    results: Path, tmp_path: Path
-) -> None:
-    out = Path(shutil.copytree(results, tmp_path / "out"))
-    (part,) = out.glob("summary/*.parquet")
-    replace_by_link(part)
-    content = part.read_bytes()
-    with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
-        Results.read(out)
-    sinsjax.run_into(STUDY, out, resume=True)
-    assert not part.is_symlink() and part.read_bytes() == content
-    assert part.with_name(f"{part.name}.moved").read_bytes() == content
-    (tmp_path / "here").symlink_to(out)  # the directory itself may be a link
-    assert Results.read(tmp_path / "here").runs == 18
-
-
 def test_edited_study_of_results_is_named(results: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
     study = small_study(study={"curves": True}, axes=AXES, sensors={"gyro_bias_deg_per_h": 0.5})

@@ -36,13 +36,14 @@ def assert_alone_as_among_others(
     whole = study_run.run(study, stored)
     for run_id in runs:
         again = rerun.repeat_run(study, run_id, stored)
-        assert again.row.num_rows == 1
-        for table, one in ((whole.summary, again.row), (whole.curves, again.curve)):
+        row, curve = again["summary"], again["curves"]
+        assert row.num_rows == 1
+        for table, one in ((whole.summary, row), (whole.curves, curve)):
             if table.num_rows:
                 assert one.equals(table.filter(pa.compute.equal(table["run_id"], run_id))), run_id
-        last = again.curve.slice(again.curve.num_rows - 1)
+        last = curve.slice(curve.num_rows - 1)
         for name in ("phi_u_arcmin", "sigma_n_arcmin", "yaw_deg"):
-            assert last[name].to_pylist() == again.row[name].to_pylist()
+            assert last[name].to_pylist() == row[name].to_pylist()
 
 
 RARE = {
