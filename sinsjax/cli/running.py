@@ -41,11 +41,7 @@ def run_study(
         tunes: whether to tune the study.
         scheduler: address of a Dask scheduler; None for this process alone.
         options: further arguments of `prepare.load_job`.
-
-    Raises:
-        InputError: the study cannot be run with these options.
     """
-    from sinsjax.execution.directory import Manifest
     from sinsjax.execution.prepare import prepare_job
     from sinsjax.execution.progress import show_progress
     from sinsjax.execution.run import run_job
@@ -65,7 +61,6 @@ def run_study(
     prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
     job = prepare(config, parse_changes(changes or ()), *files, **options)
     assert job.directory is not None and job.forecast is not None
-    stored = Manifest.find(job.directory) if job.resume and not tunes else None
     with ExitStack() as stack:
         executor, cores = None, devices or cores
         if scheduler is not None:
@@ -73,7 +68,7 @@ def run_study(
 
             executor = stack.enter_context(cluster.executor(scheduler=scheduler))
             cores = executor.facts["threads"]  # known only now
-        print_line(terminal, job.forecast.describe(cores, stored.runs_done if stored else 0))
+        print_line(terminal, job.forecast.describe(cores))
         for line in job.warnings:
             print_warning(line)
         for line in job.notes:

@@ -29,15 +29,7 @@ _START_KEYS = ("p0_yaw_deg", "phi_u0_deg")  # of filters; of other methods that 
 
 
 def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
-    """Refuse to run a study with results of programs outside sinsjax.
-
-    Args:
-        programs: their names, [study] external.
-        source: file or directory of the study.
-
-    Raises:
-        InputError: names the programs.
-    """
+    """Refuse to run a study, by its file or directory, with results of programs elsewhere."""
     if programs:
         raise InputError(
             f"{source}: its runs of {', '.join(programs)} were made elsewhere and cannot be run"
@@ -46,15 +38,7 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
-    """Check each plug-in method of a study, see `plugins.check_plugin`.
-
-    Args:
-        study: checked study, at the rate of its record.
-        stored: the record of a recorded study.
-
-    Raises:
-        InputError: one of them cannot be run; names its package.
-    """
+    """Refuse a plug-in method that cannot be run, by its package, see `plugins.check_plugin`."""
     if not PACKAGES.keys() & study.methods:
         return
     scenario = Scenario(study, stored, curves=False)
@@ -68,10 +52,6 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
 
 def check_record(study: Study, stored: StoredRecord) -> list[str]:
     """Return doubts about the record of a study, one line each, in the spans that it reads.
-
-    Args:
-        study: checked study, at the rate of its record.
-        stored: its record.
 
     Raises:
         InputError: the record does not cover these spans; or the study does not trust it and it is

@@ -30,9 +30,7 @@ CONNECT_TIMEOUT_S = 10.0
 WORKER_TIMEOUT_S = 60.0
 """Time to wait for its first worker, s."""
 
-TASKS_PER_THREAD = 2
-"""Tasks submitted per worker thread, so that no thread waits for its next one."""
-
+TASKS_PER_THREAD = 2  # so that no thread waits for its next one
 _RETRIES = 2
 _INSTRUCTIONS = "instruction set"
 
@@ -132,7 +130,10 @@ def _run_tasks(
     run = partial(run_task_on_worker, name, required)
     options = {"pure": False, "retries": _RETRIES}
     try:
-        job, completed = client.submit(bytes, content, key=name), as_completed(loop=client.loop)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a large graph: a record is sent once
+            job = client.submit(bytes, content, key=name)
+        completed = as_completed(loop=client.loop)
         while True:
             room = TASKS_PER_THREAD * max(1, sum(client.nthreads().values())) - len(running)
             if batch := list(islice(remaining, max(0, room))):
@@ -157,16 +158,10 @@ def _run_tasks(
 
 def _task_result(task: Task, future: Any) -> TaskResult:
     """Return the result of a completed task, or raise its error in one line."""
-    from distributed import KilledWorker
-
     if future.status != "error":
         return future.result()
     error = future.exception()
     text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
-    if isinstance(error, InputError):
-        text = str(error)
-    elif isinstance(error, KilledWorker):
-        text = f"{error.allowed_failures + 1} workers died while running it (out of memory?)"
     raise InputError(f"{task.name}: {text}") from error
 
 
@@ -197,16 +192,9 @@ def _describe_process() -> dict[str, str]:
 def run_task_on_worker(
     name: str, required: Mapping[str, str], task: Task, *, job: bytes
 ) -> TaskResult:
-    """Run a task on a Dask worker.
+    """Run a task of a pickled job on a Dask worker, which must have the required versions.
 
-    Args:
-        name: name of the job, unique to its content.
-        required: versions of packages, and the instruction set, that this process must have.
-        task: one of the job's tasks.
-        job: the job, pickled.
-
-    Raises:
-        InputError: this process lacks something required, or the job cannot be run.
+    The name of the job is unique to its content.
     """
     with _prepare_lock:
         if name not in _runners:

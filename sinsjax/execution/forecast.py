@@ -19,7 +19,6 @@ from sinsjax.engine.scenario import MOST_STORED_SAMPLES, PROGRAM_KEYS
 from sinsjax.errors import InputError
 from sinsjax.execution import tables
 from sinsjax.messages import format_count
-from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import machine, runtime
 from sinsjax.study.schema import NUMBERS_DRAWN, keys_acting_as
@@ -64,18 +63,16 @@ class Forecast(NamedTuple):
     compile_s: float
     start_s: float = _START_S
 
-    def describe(self, cores: int, done: int = 0) -> str:
-        """Return one line for a user: the cost of the runs that are not done yet."""
-        remaining = max(0, self.runs - done)
-        left = f", {remaining:,} left" if done else ""
-        later_s = self.start_s + remaining * self.run_s / cores
+    def describe(self, cores: int) -> str:
+        """Return one line for a user: what all runs cost."""
+        later_s = self.start_s + self.runs * self.run_s / cores
         first_s = later_s + self.compile_s / min(cores, self.programs)
         return (
-            f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s{left}: roughly"
+            f"{format_count(self.runs, 'run')} of up to {self.length_s:g} s: roughly"
             f" {_format_duration(later_s)} on {format_count(cores, 'core')}"
             f" ({_format_duration(first_s)} the first time, which compiles"
             f" {format_count(self.programs, 'program')}), {decimal(int(self.memory))} of memory,"
-            f" {decimal(int(remaining * self.run_bytes))} on disk."
+            f" {decimal(int(self.runs * self.run_bytes))} on disk."
         )
 
 
@@ -86,9 +83,9 @@ def forecast_sweep(study: Study, curves: bool | None = None) -> Forecast:
 
 
 def forecast_tuning(study: Study) -> Forecast:
-    """Return the forecast of a tuning run: its searches, then their evaluation.
+    """Return the forecast of a tuning run: its searches, then the evaluation of the best points.
 
-    The cost of a descent's steps is a rough guess.
+    Schedules by the law are not counted, and the cost of a descent's steps is a rough guess.
     """
     tune, draws = study.tune, ((study.n_draws + 1) // 2, study.n_draws // 2)
     assert tune is not None
@@ -96,13 +93,12 @@ def forecast_tuning(study: Study) -> Forecast:
         draws = tune.tune_draws or 1, tune.evaluation_draws or 1
     space, variants = SearchSpace.from_study(study), study.n_variants
     free_keys = [len(space.used_variables(combination)) for combination in space.combinations]
-    # A gradient stores its history alone; the others add the schedule by the law, if it exists.
-    law = any(variable.key in SCHEDULE_KEYS for variable in space.variables)
-    grid = sum(tune.grid_points**count + law for count in free_keys)
-    sobol = (tune.sobol_points + law) * len(free_keys)
-    points = [{"grid": grid, "sobol": sobol}.get(name, 0) for name in tune.searches]
-    candidates = len(tune.searches) + 1 + law
-    runs, most = variants * (sum(points) * draws[0] + candidates * draws[1]), max(points)
+    # A gradient stores its history alone.
+    sizes = {"grid": sum(tune.grid_points**count for count in free_keys)}
+    sizes["sobol"] = tune.sobol_points * len(free_keys)
+    points = [sizes.get(name, 0) for name in tune.searches]
+    most, candidates = max(points), len(tune.searches) + 1
+    runs = variants * (sum(points) * draws[0] + candidates * draws[1])
     found = _forecast_runs(study, variants * max(most, candidates), runs, curves=False)
     descents = found.programs * len(free_keys) * ("gradient" in tune.searches)
     programs = found.programs + descents * _DESCENT_PROGRAMS

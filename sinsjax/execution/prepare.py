@@ -45,9 +45,6 @@ def prepare_job(
         reference: file of the reference attitude of a record that is a file.
         options: further arguments of `load_job`.
 
-    Returns:
-        The job, at the rate of its record, with warnings, notes and forecast.
-
     Raises:
         InputError: the study is invalid or does not fit its record; the record is certainly
             wrong; the directory cannot be used or contains results of another study; disk or memory
@@ -142,22 +139,14 @@ def _read_record(
 
 
 def issue_warnings(job: Job) -> Job:
-    """Issue the warnings and notes of a prepared job as Python warnings, and return the job.
-
-    Warns:
-        StudyWarning: one per line.
-    """
+    """Issue the warnings and notes of a prepared job as a `StudyWarning` each, and return it."""
     for line in (*job.warnings, *job.notes):
         warnings.warn(line, StudyWarning, stacklevel=3)
     return job
 
 
 def make_subjob(job: Job, study: Study, name: str) -> Job:
-    """Return a job for a study derived from that of a prepared job, in a folder of its directory.
-
-    Raises:
-        InputError: the folder cannot be used, or contains results of another study.
-    """
+    """Return a job for a study derived from that of a job, in a folder of its directory."""
     assert job.directory is not None
     subdirectory = job.directory / name
     check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)

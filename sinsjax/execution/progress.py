@@ -52,15 +52,10 @@ ProgressCallback = Callable[[RunProgress], None]
 def python_progress(
     name: str, shown: bool | None, on_progress: ProgressCallback | None = None
 ) -> Iterator[ProgressCallback | None]:
-    """Show the progress of a function of Python on the standard error, after two seconds.
+    """Yield the callback that shows the progress of a function of Python, after two seconds.
 
-    Args:
-        name: name of the study.
-        shown: whether to show it; None for a terminal or a notebook, unless there is a callback.
-        on_progress: callback of the caller.
-
-    Yields:
-        The callback to use.
+    It calls that of the user. ``shown = None`` shows on a terminal or in a notebook, unless the
+    user has a callback.
     """
     if shown is None:
         seen = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
@@ -85,12 +80,8 @@ def show_progress(
 ) -> Iterator[ProgressCallback]:
     """Show a bar on a terminal; otherwise plain lines, every 10 % or every 10 s.
 
-    Both show the completed runs and the failures so far, the bar also the time left.
-
-    Args:
-        console: where to show it.
-        name: name of the study.
-        after_s: time to wait first, s; nothing is shown of what ends before.
+    Both show the completed runs and the failures so far, the bar also the time left. Nothing is
+    shown of what ends within ``after_s``.
     """
     if not console.is_terminal:
         yield _plain_lines(console, name, time.monotonic() + after_s)

@@ -175,20 +175,7 @@ def run_job(
     on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
 ) -> None:
-    """Run a prepared job into its directory.
-
-    Args:
-        job: prepared job with a directory.
-        executor: runs the tasks; None for all devices of this process.
-        on_progress: called with the progress before the first chunk and after every one.
-        stop: event that ends the job after the running chunks.
-
-    Raises:
-        InputError: the directory cannot be written, or results there were computed with another
-            instruction set.
-        StudyInterrupted: ``stop`` was set; the running chunks have been stored.
-    """
-    assert job.directory is not None
+    """Run a prepared job into its directory, with the arguments and errors of `run_into`."""
     executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
     runner = TaskRunner(job)

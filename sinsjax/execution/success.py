@@ -169,12 +169,8 @@ def _sigma_shared_with_bias(
     """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
 
     Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
-    splits by their variances.
-
-    Args:
-        rate_n: omega_N, rad/s.
-        sigmas: of gyro bias, deg/h, and heading, deg: at the start, then at a reset; where NaN, a
-            reset sets P as at the start.
+    splits by their variances. ``rate_n`` is omega_N, rad/s; the sigmas of gyro bias, deg/h, and
+    heading, deg, are those of the start, then of a reset; where NaN, it sets P as at the start.
     """
     most = np.zeros(len(rate_n))
     for at_reset in sigmas:
@@ -186,13 +182,7 @@ def _sigma_shared_with_bias(
 
 
 def require_floor(study: Study) -> None:
-    """Refuse a study that is judged from a bias floor if a variant has none in its first run.
-
-    The resets of a trigger are not known yet.
-
-    Raises:
-        InputError: names the method.
-    """
+    """Refuse a study that is judged from a bias floor if a variant has none in its first run."""
     if success_criteria(study).from_truth:
         return
     variants = np.arange(study.n_variants)

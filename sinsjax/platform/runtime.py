@@ -15,7 +15,6 @@ RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
 
 _configured = False
-_warned_late = False
 
 
 def configure(devices: int | None = None) -> None:
@@ -35,7 +34,7 @@ def configure(devices: int | None = None) -> None:
             or ``SINSJAX_COMPILE_CACHE`` names an unusable folder.
 
     Warns:
-        ConfigurationWarning: once, if JAX has started with other devices or compiler options.
+        ConfigurationWarning: if JAX has started with other devices or compiler options.
 
     Examples:
         >>> sinsjax.configure(devices=2)
@@ -79,8 +78,7 @@ def _enable_x64() -> None:
 
 
 def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
-    """Warn once if JAX has started without the compiler options or with other devices."""
-    global _warned_late
+    """Warn if JAX has started without the compiler options or with other devices."""
     import jax
 
     problems = []
@@ -89,8 +87,7 @@ def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
     with suppress(RuntimeError):  # JAX_PLATFORMS does not list the CPU
         if (running := len(jax.local_devices(backend="cpu"))) != devices:
             problems.append(f"with {running} CPU device(s) instead of {devices}")
-    if problems and not _warned_late:
-        _warned_late = True
+    if problems:
         warnings.warn(
             f"JAX has started already, {' and '.join(problems)}: restart Python or the notebook's"
             f" kernel and call sinsjax.configure({configure_arguments}) before JAX computes"
