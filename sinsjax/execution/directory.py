@@ -33,29 +33,19 @@ _FIGURE_MARK = b"Software\0sinsjax"  # as `plots.render_png` writes it, before t
 
 
 class Manifest(BaseModel):
-    """The manifest of a results directory: the entries that sinsjax itself reads.
-
-    Attributes:
-        entries: all of them, as JSON values.
-        identity: of the job, see `tasks.Job.identity`; curves to extended_at are its fields.
-        state: "running", "interrupted" or "complete".
-        runs_done: number of runs that were stored when it was written.
-        wall_s: duration of all sessions, s.
-        draws: number of draws of the stored study; None for a record.
-    """
+    """The manifest of a results directory: all entries as JSON, and those that sinsjax reads."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
     entries: dict[str, Any] = {}
     identity: str
     fingerprint: str = ""
-    state: str = ""
+    state: str = ""  # "running", "interrupted" or "complete"
     curves: bool | None = None
     chunk_runs: Annotated[int, Field(ge=1)] | None = None
     extended_at: tuple[Annotated[int, Field(ge=1)], ...] = ()
-    runs_done: int = 0
-    started_unix_s: float | None = None
-    wall_s: float | None = None
+    runs_done: int = 0  # when it was written
+    wall_s: float | None = None  # of all sessions
     versions: dict[str, str] = {}
     instructions: str | None = None
     config: str | None = None
@@ -67,6 +57,7 @@ class Manifest(BaseModel):
     @classmethod
     def read(cls, directory: Path, *, any_version: bool = False) -> "Manifest":
         """Read the manifest of a results directory; it is refused as by `read_manifest`."""
+        check_directory(directory)
         path = directory / MANIFEST
         try:
             entries = sealed.read_sealed_json(path)

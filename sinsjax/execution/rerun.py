@@ -1,7 +1,6 @@
 """Repeating a single run of a study with its curve; its row must be identical."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -25,17 +24,12 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
 
-class Rerun(NamedTuple):
-    """A repeated run: its row of the summary, and its curve with a row per record time."""
-
-    row: pa.Table
-    curve: pa.Table
-
-
-def repeat_run(study: Study, run_id: int, stored_record: StoredRecord | None = None) -> Rerun:
-    """Repeat one run of a study, with its curve; the row equals that of the study bit for bit."""
+def repeat_run(
+    study: Study, run_id: int, record: StoredRecord | None = None
+) -> dict[str, pa.Table]:
+    """Return the summary and curves of one run of a study, equal to those of a sweep to the bit."""
     draw, variant = divmod(run_id, study.n_variants)
-    scenario = Scenario(study, stored_record, curves=True)
+    scenario = Scenario(study, record, curves=True)
     number, place = scenario.find(variant)
     batch = scenario.batch(number, range(draw, draw + 1))
     # The smallest possible chunk: a run's bits do not depend on its lane or chunk.
@@ -44,8 +38,7 @@ def repeat_run(study: Study, run_id: int, stored_record: StoredRecord | None = N
     chunk = chunks.compute(chunks.layout.chunk_of(first, place))
     builder = TableBuilder(study, has_truth=scenario.has_truth, curves=True)
     tables = builder.make_tables(chunk, batch.variant_ids)
-    rows = (tables[name].filter(pc.field("run_id") == run_id) for name in ("summary", "curves"))
-    return Rerun(*rows)
+    return {name: table.filter(pc.field("run_id") == run_id) for name, table in tables.items()}
 
 
 def rerun_stored_run(
@@ -74,9 +67,15 @@ def rerun_stored_run(
         raise InputError(f"{directory}: has no run {run_id} (`--resume` computes missing ones)")
     if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
         raise InputError(f"{out}: already contains {existing[0]} (give another directory)")
-    repeated = repeat_run(study, run_id, record)
-    _write_rerun(target, repeated, f"{study.name}, run {run_id}")
-    (before,), (now,) = stored.to_pylist(), repeated.row.to_pylist()
+    tables = repeat_run(study, run_id, record)
+    row, curve, title = tables["summary"], tables["curves"], f"{study.name}, run {run_id}"
+    make_folder(target)
+    for name, table in (("summary", row), ("curve", curve)):
+        with atomic_write(target / f"{name}.parquet") as file:
+            pq.write_table(table, file, compression="zstd")
+    with atomic_write(target / "curve.png") as file:
+        file.write(plots.render_png(plots.plot_curves(curve, row, title=title)))
+    (before,), (now,) = stored.to_pylist(), row.to_pylist()
     for name, value in now.items():
         screen.print_line(console, f"{name:>30}  {value}")
     differing = [name for name in before | now if before.get(name) != now.get(name)]
@@ -90,12 +89,3 @@ def rerun_stored_run(
     screen.print_line(console, verdict)
     screen.print_line(console, f"Row, curve and figure: {target}")
     return not differing
-
-
-def _write_rerun(target: Path, run: Rerun, title: str) -> None:
-    make_folder(target)
-    for name, table in (("summary", run.row), ("curve", run.curve)):
-        with atomic_write(target / f"{name}.parquet") as file:
-            pq.write_table(table, file, compression="zstd")
-    with atomic_write(target / "curve.png") as file:
-        file.write(plots.render_png(plots.plot_curves(run.curve, run.row, title=title)))

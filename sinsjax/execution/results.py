@@ -14,12 +14,7 @@ import pyarrow.parquet as pq
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import (
-    STUDY,
-    Manifest,
-    check_directory,
-    list_parts,
-)
+from sinsjax.execution.directory import STUDY, Manifest, list_parts
 from sinsjax.messages import first_error_line, format_count, to_one_line
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study import display
@@ -93,7 +88,6 @@ class Results:
             6
         """
         directory = Path(directory)
-        check_directory(directory)
         manifest = Manifest.read(directory)
         study = _load_study(directory, manifest)
         results = cls(study, manifest.wall_s, directory=directory, manifest=manifest)
@@ -262,9 +256,7 @@ def read_curves(directory: str | Path, run_ids: list[int] | None = None) -> pa.T
 
 
 def _open_parts(directory: str | Path) -> "StoredParts":
-    directory = Path(directory)
-    check_directory(directory)
-    return StoredParts(directory, Manifest.read(directory))
+    return StoredParts(Path(directory), Manifest.read(Path(directory)))
 
 
 class StoredParts:

@@ -110,7 +110,7 @@ class DirectoryStore:
         before = Manifest.find(job.directory) if job.resume else None
         if before:
             _check_environment(job, before, session)
-        self._started_s = (before and before.started_unix_s) or round(time.time(), 3)
+        self._started_s = before.entries.get("started_unix_s") if before else round(time.time(), 3)
         self._start_s = time.monotonic() - ((before and before.wall_s) or 0.0)
 
     def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:

@@ -42,16 +42,6 @@ def test_results_of_a_directory_are_read_from_it(tmp_path: Path, results: Result
         assert set(found.read_curves([3, 5])["run_id"].to_pylist()) == {3, 5}
 
 
-def test_failed_runs_are_counted(results: Results) -> None:
-    status = ["ok"] * 3 + ["diverged", "nonfinite"] + ["not_settled"] * 13
-    place = results.summary.column_names.index("status")
-    table = results.summary.set_column(place, results.summary.schema.field("status"), [status])
-    shown = Results(results.study, 1.0, tables={"summary": table})
-    assert "18 runs, 2 diverged or not finite" in repr(shown)
-    fewer = Results(results.study, 1.0, tables={"summary": table.slice(0, 12)})
-    assert "12 of 18 runs, 2 diverged" in repr(fewer)
-
-
 def test_unfinished_results_have_the_draws_that_every_variant_has(tmp_path: Path) -> None:
     study = small_study(study={"draws": 3}, axes=AXES)
     rows = synthetic_summary(study).slice(0, 13)  # two draws of six variants, and a run

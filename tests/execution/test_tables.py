@@ -1,18 +1,12 @@
 """Result tables: their columns, the conditions for nulls, and reading them from a directory."""
 
-from pathlib import Path
-
 import jax
 import numpy as np
 import pyarrow as pa
 import pytest
 from support.chunks import chunk
-from support.stored_results import store_results
 from support.studies import STILL, small_study
-from support.sweep_directories import read_files_and_times
-from support.synthetic_tables import synthetic_summary
 
-from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
@@ -86,16 +80,6 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     assert not any(table[name].null_count for name in left)
 
 
-def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
-    study = small_study()
-    store_results(tmp_path / "out", study, synthetic_summary(study))
-    before = read_files_and_times(tmp_path / "out")
-    with jax.enable_x64(False):
-        for call in (
-            lambda: run.run_into(study, tmp_path / "out", overwrite=True),
-            lambda: run.run(study),
-            lambda: simulated_record(study),
-        ):
-            with pytest.raises(InputError, match="double precision"):
-                call()
-    assert read_files_and_times(tmp_path / "out") == before
+def test_single_precision_is_refused() -> None:
+    with jax.enable_x64(False), pytest.raises(InputError, match="double precision"):
+        run.run(small_study())
