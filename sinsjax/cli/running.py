@@ -32,15 +32,8 @@ def run_study(
 ) -> None:
     """Run or tune a study into a directory and print its report.
 
-    Args:
-        config: study file.
-        changes: of the study, ``section.key=value``.
-        files: record and reference of a recorded study.
-        devices: threads that run the compiled program; None for all cores.
-        full: whether to print all tables.
-        tunes: whether to tune the study.
-        scheduler: address of a Dask scheduler; None for this process alone.
-        options: further arguments of `prepare.load_job`.
+    The arguments are options of commands: the changes ``section.key=value``, the files of a record
+    and its reference, and the others those of `prepare.load_job`.
     """
     from sinsjax.execution.prepare import prepare_job
     from sinsjax.execution.progress import show_progress

@@ -39,9 +39,11 @@ class RunProgress(NamedTuple):
     @property
     def state(self) -> str:
         """The failures so far, or what precedes the first chunk, in words."""
+        if self.failures is None:
+            return ""
         if self.done == self.done_before:
             return "already done" if self.done else "compiling"
-        return "" if self.failures is None else f"{self.failures:,} failed"
+        return f"{self.failures:,} failed"
 
 
 ProgressCallback = Callable[[RunProgress], None]

@@ -112,20 +112,14 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
 def has_floor(
     study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
 ) -> np.ndarray:
-    """Return whether runs have the bias floor of `methods.floors`, (runs,) bool.
+    """Return whether runs, (runs,), have the bias floor of `methods.floors`, bool.
 
     Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
     record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
     once the base moves. On a still base it cannot, and has the bias floor of a filter without them
     if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
     methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
-    reference is their floor, all have one.
-
-    Args:
-        study: checked study.
-        draw_ids: (runs,).
-        variant_ids: (runs,).
-        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
+    reference is their floor, all have one. ``last_reset_s`` is 0 for runs without a reset.
     """
     if study.is_recorded:
         return np.ones(len(variant_ids), bool)
