@@ -164,7 +164,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
 
 def _count_programs(study: Study) -> int:
     """Return the number of programs, from the swept keys that decide them, by value or by zero."""
-    count = len({(span.records, span.rewinds) for span in study.distinct_spans})
+    count = len({span.records for span in study.distinct_spans})
     for dimension in study.dimensions:
         columns = [
             values if key in PROGRAM_KEYS else map(np.any, values)

@@ -103,10 +103,8 @@ class Results:
         if not len(whole):
             text = f"{progress}, and no draw that every variant has (continue with `--resume`)"
             raise InputError(f"{self.directory}: {text}")
-        remedy = "`sinsjax sweep --resume` adds the others"
-        if self.study.study.external:
-            remedy = "the others were not exported"
         shown = f"shown are the {len(whole):,} draws that every variant has"
+        remedy = "`sinsjax sweep --resume` adds the others"
         self.warnings = (f"{progress}; {shown}; {remedy}.", *self.warnings)
         draw = pc.divide(pc.field("run_id"), self.study.n_variants)
         self.unfinished, self._whole = True, draw.isin(whole.tolist())

@@ -185,19 +185,15 @@ class DirectoryStore:
         self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
 
 
-def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None:
-    """Write a summary of some draws, made elsewhere, as the results of a job without curves.
-
-    The study is unfinished without its other draws. ``facts`` are further manifest entries.
-    """
+def write_table(job: Job, summary: pa.Table) -> None:
+    """Write a summary that was made elsewhere as the results of a job without curves."""
     rows = (("summary", len(summary)),)
-    task = Task("part-0000-000000", 0, (draws.start, draws.stop), 0, len(summary), rows)
+    task = Task("part-0000-000000", 0, (0, job.study.n_draws), 0, len(summary), rows)
     content = to_sealed_parquet(summary, part_metadata(job, job.identity, "summary", task))
     with open_store(job, runtime.describe_environment()) as store:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))
-        whole = draws == range(job.study.n_draws)
-        store.finish("complete" if whole else "interrupted", **facts)
+        store.finish("complete")
 
 
 def _write_file(path: Path, content: bytes) -> None:

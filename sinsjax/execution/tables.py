@@ -27,7 +27,6 @@ from sinsjax.methods.method import Method, OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS, key_meaning
-from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, START_KEYS, predict_settling
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
@@ -63,7 +62,6 @@ def _key_columns(study: Study) -> list[Column]:
     """Return the columns of swept and drawn keys, without those of every study."""
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     found = [
-        *((columns.PREDICTED,) if study.names_schedules else ()),
         *(columns.axis_column(k, v, key_meaning(k)) for k, v in swept.items()),
         *(columns.drawn_column(k, NUMBERS_DRAWN[k], key_meaning(k)) for k in study.drawn_keys),
     ]
@@ -90,20 +88,9 @@ def _variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arr
         "reset_times_s": resets.map(list),
         **{(key := f"phi_{a}0_deg"): study.coded(key) for a in "enu"},
     }
-    if study.names_schedules:
-        found[columns.PREDICTED.name] = _predicted_settling(study)
     types = {c.name: c.dtype for c in schema}
     names = found.keys() - {*study.drawn_keys}
     return {name: _expand_coded(found[name], types[name]) for name in names}
-
-
-def _predicted_settling(study: Study) -> CodedColumn:
-    """Return the predicted settling time of each variant, s; None where nothing is predicted."""
-    keys = [key for key in (*LAW_KEYS, *DERIVED, *START_KEYS) if study.is_readable(key)]
-    missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-    codes, choices = study.coded(*keys)
-    points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
-    return CodedColumn(codes, tuple(predict_settling(study.rate_hz, study.run_s, points)))
 
 
 def _expand_coded(column: CodedColumn, dtype: pa.DataType) -> pa.Array:
