@@ -59,10 +59,9 @@ def continue_all(folder: Path) -> dict[str, pa.Table]:
 
     Rows of other versions and instruction sets are refused: both checks are left out here.
     """
-    from sinsjax.execution import resume
+    from sinsjax.execution import store
 
-    unchecked = {"_check_versions": lambda *_: None, "check_instruction_set": lambda *_: None}
-    with mock.patch.multiple(resume, **unchecked):
+    with mock.patch.object(store, "_check_environment"):
         more = {"killed": {}, "extended": {"study.draws": MORE_DRAWS}}
         for name, changes in more.items():
             study = sinsjax.load_study(folder / name / "study.toml", changes)
@@ -77,8 +76,7 @@ def continue_all(folder: Path) -> dict[str, pa.Table]:
         rerun = folder / name / "reruns" / str(run_id)
         tables[f"repeated {name}"] = pq.read_table(rerun / "summary.parquet")
     export = folder / "exported"
-    score = sinsjax.score_results(export, export / "results.csv", out=folder / "scored")
-    tables["scored"] = sinsjax.read_summary(score.directory)
+    tables["scored"] = sinsjax.score_results(export, export / "results.csv").summary
     return tables
 
 

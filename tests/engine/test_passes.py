@@ -26,7 +26,7 @@ def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, reco
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
-        read = passes.read_interval("alternate", jnp.asarray(record), jnp.asarray(stored), every)
+        read = passes.read_interval(jnp.asarray(record), jnp.asarray(stored), every)
         turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)
