@@ -60,9 +60,9 @@ if TYPE_CHECKING:
     from sinsjax.study.load import load_study, study_from_dict
     from sinsjax.study.reset_plan import ResetPlan, reset_schedule
     from sinsjax.study.study import Study
-    from sinsjax.tuning.from_python import tune
     from sinsjax.tuning.history import read_history
     from sinsjax.tuning.results import TuningResults
+    from sinsjax.tuning.run_tuning import tune
 
 __version__ = runtime.package_version()
 
@@ -97,7 +97,7 @@ _HOMES = {
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
     "study.reset_plan": ("ResetPlan", "reset_schedule"),
-    "tuning.from_python": ("tune",),
+    "tuning.run_tuning": ("tune",),
     "tuning.history": ("read_history",),
     "tuning.results": ("TuningResults",),
 }

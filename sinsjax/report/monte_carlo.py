@@ -280,9 +280,9 @@ def _curve_figures(source: Results) -> Iterator[Block]:
     if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
         yield Picture("attitude", f"{caption}{note}.", plots.plot_curves(curves, table, by=keys))
         return
+    caption = caption.replace("Mean", "Rms", 1)
     if np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
         figure = plots.plot_curves(curves, table, by=keys)
-        caption_heading = caption.replace("Mean", "Rms", 1)
-        yield Picture("misalignment", f"{caption_heading}{note}.", figure)
+        yield Picture("misalignment", f"{caption}{note}.", figure)
     figure = plots.plot_curves(curves, table, by=keys, level=True)
     yield Picture("misalignment_level", f"{caption}{note}.", figure)

@@ -143,10 +143,8 @@ def test_which_alignment_prints_what_nine_tenths_stay_below(tmp_path, run):
 
 
 def test_reset_law_tables_are_means_and_medians_of_their_runs(tmp_path, run):
-    predicted = {"predicted_settle_s": lambda rng, count: rng.uniform(90, 800, count)}
-    own = ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase")
-    made = {name: stored(tmp_path, name, **predicted) for name in ("reset_law", "reset_law_map")}
-    made |= {name: stored(tmp_path, name) for name in own}
+    names = ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase")
+    made = {name: stored(tmp_path, name) for name in ("reset_law", "reset_law_map", *names)}
     tables, printed = run(reset_law, *(directory for directory, _ in made.values()))
     runs = grouped(made["reset_law"][1], "case")
     for case, rows in runs.items():
