@@ -82,7 +82,9 @@ def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
     A run without a result counts 180 deg. The best is that of all draws.
     """
-    choices, external = outcome.choices, outcome.source.study.study.external or ()
+    choices, external = outcome.choices, outcome.source.study.study.external
+    if not external:
+        return
     methods = np.array(outcome.source.study.values("method"))[choices.variants[:, 0]]
     errors = [np.abs(outcome.flat(_END, option)) for option in range(len(methods))]
     errors = [np.where(np.isnan(error), _FAILED_ARCMIN, error) for error in errors]
