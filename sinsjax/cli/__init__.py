@@ -223,11 +223,11 @@ def rerun(
     """
     from sinsjax.execution import rerun as rerunning
     from sinsjax.execution.directory import results_path
-    from sinsjax.tuning import history, run_tuning
+    from sinsjax.tuning import history
 
     runtime.configure()
     if history.is_tuning(directory):
-        evaluation = directory / run_tuning.EVALUATION
+        evaluation = directory / history.EVALUATION
         raise InputError(
             f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
         )

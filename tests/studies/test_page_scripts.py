@@ -171,12 +171,12 @@ def test_comparison_runs_the_numpy_filter_and_tables_its_errors(tmp_path, run, m
         (export_study(study, tmp_path / "x") / "study.toml").read_text()
     )
     monkeypatch.setattr(comparison, "STUDY", str(tmp_path / "arena.toml"))
-    monkeypatch.setattr(comparison, "DRAWS", 2)
-    monkeypatch.setattr(comparison, "LAST", 3)
+    monkeypatch.setattr(comparison, "JUDGED", {"study.draws": 2})
+    monkeypatch.setattr(comparison, "CHOOSING", {"study.draws": 1})
     monkeypatch.setattr(comparison, "find_programs", lambda psins: (["numpy filter"], ["none"]))
     written, _ = run(comparison, tmp_path / "all")
     ours, own = written["comparison_arena"].values()
-    (scores,) = (tmp_path / "all" / "scores").iterdir()
+    (scores,) = (tmp_path / "all" / "judged" / "enu" / "scores").iterdir()
     runs = grouped(
         sinsjax.read_summary(scores).to_pylist(), "method", "pitch_amplitude_deg", "phi_u0_deg"
     )
