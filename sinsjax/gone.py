@@ -32,6 +32,9 @@ VALUES: dict[tuple[str, str], str] = {
     " is `sinsjax.information_bound`",
     **dict.fromkeys((("resets.reset_trigger", name) for name in _TRIGGERS), _TRIGGER),
     ("coarse.coarse_method", "analytic"): "use 'inertial', which needs no rigid mount",
+    **dict.fromkeys(
+        (("passes.turn", name) for name in ("velocity_drop_rate", "restart")), "use 'reflect'"
+    ),
     ("tune.searches", "random"): "use 'sobol'",
     ("tune.searches", "covariance"): "use 'gradient' or 'sobol'",
 }

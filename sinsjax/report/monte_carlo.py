@@ -56,7 +56,6 @@ def build_report(
     Raises:
         InputError: runs are missing.
     """
-    assert source.draws  # raises if draws are missing
     yaw = analysis.numeric_column(source.rows([_END]), _END)
     has_truth = bool(np.isfinite(yaw).any())
     finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)
@@ -92,9 +91,12 @@ def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     for program in (option for option, mean in enumerate(means) if np.isinf(mean)):
         own = analysis.mean(errors[program], outcome.clusters, limits=(0.0, _FAILED_ARCMIN))
         text = f"{methods[program]}: mean heading error {format_heading_error(own)}'"
-        more = analysis.mean_difference(errors[program], errors[best], outcome.clusters)
-        text += f", on the same draws {format_heading_error(more)}' more than that of"
-        text += f" {choices.options[best]}, the best here"
+        larger, smaller, word = errors[program], errors[best], "more"
+        if own.value < means[best]:
+            larger, smaller, word = smaller, larger, "less"
+        difference = analysis.mean_difference(larger, smaller, outcome.clusters)
+        text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
+        text += f" {choices.options[best]}, the best of sinsjax"
         yield Fact("Program", text)
 
 
@@ -258,8 +260,6 @@ def _all_tables(source: Results, outcome: SweepOutcome) -> Iterator[Block]:
 
 def _curve_figures(source: Results) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
-    if not source.has_curves:
-        return
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])

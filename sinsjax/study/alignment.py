@@ -92,14 +92,10 @@ class PassesSection(Section):
         " last complete forward pass within it",
         "duration",
     )
-    turn: (
-        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None
-    ) = field(
+    turn: Literal["reflect", "velocity", "velocity_and_rate", "keep"] | None = field(
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
-        " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
-        " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
+        " motion. 'velocity_and_rate': velocity and azimuth rate. 'keep': none",
         default="reflect",
     )
     turn_smoothing_s: vt.Seconds | None = field(

@@ -276,8 +276,10 @@ def _check_stop_when(study: Study) -> None:
 def _check_rules_of_methods(study: Study) -> None:
     """Apply the rules of the study's methods."""
     variants = Variants.all_of(study)
-    rules = dict.fromkeys(rule for name in study.methods for rule in METHODS[name].all_rules)
-    _check_all([partial(rule, variants) for rule in rules])
+    methods = [METHODS[name] for name in dict.fromkeys(study.methods)]
+    rules = dict.fromkeys(rule for method in methods for rule in method.rules)
+    checks = [method.check_data for method in methods if not method.is_external]
+    _check_all([partial(rule, variants) for rule in (*checks, *rules)])
 
 
 def _check_times_within_runs(study: Study) -> None:
