@@ -83,19 +83,6 @@ def test_turned_base_has_no_floor():
     assert len(caught.value.lines) == 1
 
 
-@pytest.mark.nightly
-def test_turns_can_be_swept_and_a_drawn_heading_turns_alike():
-    axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
-    study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)
-    assert package.run(study).summary["has_floor"].to_pylist()[:3] == [True, False, False]
-    turns = FAST | {"turn_axis": "body", "lever_arm_m": [0.2, 0.1, 0.0]}
-    law = {"yaw_center_deg": {"values": [10.0]}}
-    drawn = small_study(motion=turns | {"yaw_center_deg": None}, drawn=law)
-    one, other = map(package.simulated_record, (small_study(motion=turns), drawn))
-    np.testing.assert_allclose(one.dtheta, other.dtheta, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(one.dv, other.dv, rtol=0, atol=1e-13)
-
-
 # Files of attitude
 
 TIMES = np.arange(0, 6.05, 0.05)
