@@ -47,9 +47,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             name = f"method {spec.method!r} of {' '.join(PACKAGES[spec.method])}"
             batch = scenario.batch(program, range(1), blank=stored is None)
             params, site = batch.params.method, batch.environment.site
-            check_plugin(
-                name, spec.program, params, batch.n_variants, site, is_reversed=spec.reverses
-            )
+            check_plugin(name, spec.program, params, batch.n_variants, site)
 
 
 def check_record(study: Study, stored: StoredRecord) -> list[str]:

@@ -143,7 +143,12 @@ def _run_tasks(
             if not running:
                 return
             future = next(completed)
-            result = _task_result(running.pop(future), future)
+            task = running.pop(future)
+            if future.status == "error":
+                error = future.exception()
+                reason = f"{type(error).__name__}: {first_error_line(error)}"
+                raise InputError(f"{task.name}: failed on a worker: {reason}") from error
+            result = future.result()
             future.release()  # or Dask computes it again if its worker is lost
             yield result
     except (InputError, GeneratorExit):
@@ -154,15 +159,6 @@ def _run_tasks(
     finally:
         if running and client.status == "running":
             client.cancel(list(running))
-
-
-def _task_result(task: Task, future: Any) -> TaskResult:
-    """Return the result of a completed task, or raise its error in one line."""
-    if future.status != "error":
-        return future.result()
-    error = future.exception()
-    text = f"failed on a worker: {type(error).__name__}: {first_error_line(error)}"
-    raise InputError(f"{task.name}: {text}") from error
 
 
 def _check_same(worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]) -> None:

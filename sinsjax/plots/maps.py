@@ -86,8 +86,8 @@ def plot_map(
         ...     "settle_10_s": [240.0, 320.0, 250.0, 190.0],
         ... })
         >>> figure = sinsjax.plot_map(runs, "reset_count", "reset_cycle_s", "settle_10_s")
-        >>> figure.axes[-1].get_ylabel()
-        "median time (s) to stay within 10' of the bias floor"
+        >>> figure.axes[-1].get_ylabel().splitlines()
+        ["median time (s) to stay within 10'", 'of the bias floor']
     """
     table, keys = to_arrow_table(runs), to_key_list(by)
     if not table.num_rows:
@@ -147,6 +147,8 @@ def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
     if pa.types.is_boolean(column.type):
         share = _FLAGS.get(name, f"{axis_label(name)} (%)")
         return CellStatistic(share, lambda runs: 100 * runs.mean(axis=-1), "viridis")
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+        raise InputError(f"plot_map: column {name} has no numbers (give one that has)")
     name = f"rms of {axis_label(name)}"
     return CellStatistic(name, lambda runs: np.sqrt((runs**2).mean(axis=-1)))
 

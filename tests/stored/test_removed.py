@@ -60,8 +60,3 @@ def test_report_on_a_removed_trigger_is_refused_and_its_rows_are_read(tmp_path: 
     (line,) = caught.value.lines
     assert "'nis'" in line and gone.MARK in line
     assert len(sinsjax.read_summary(out))
-
-
-def test_removed_name_of_the_package_says_what_to_use() -> None:
-    with pytest.raises(AttributeError, match=rf"'estimate': {gone.MARK} \(use `sinsjax.run`"):
-        sinsjax.estimate  # noqa: B018
