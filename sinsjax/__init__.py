@@ -46,11 +46,11 @@ if TYPE_CHECKING:
     from sinsjax.arena.export import export_study
     from sinsjax.arena.score import score_results
     from sinsjax.arena.simulated_record import simulated_record
-    from sinsjax.bounds.study_bound import information_bound
     from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError, StudyWarning
     from sinsjax.execution.directory import read_manifest
+    from sinsjax.execution.information import information_bound
     from sinsjax.execution.prepare import load_increments
     from sinsjax.execution.results import Results, read_curves, read_summary
     from sinsjax.execution.run import align, run, run_into
@@ -83,7 +83,7 @@ _HOMES = {
     "analysis": ("summarise",),
     "arena.export": ("export_study",),
     "arena.score": ("score_results",),
-    "bounds.study_bound": ("information_bound",),
+    "execution.information": ("information_bound",),
     "bounds.turn_planner": ("TurnChoice", "plan_turns"),
     "arena.simulated_record": ("simulated_record",),
     "engine.one_run": ("one_run",),

@@ -10,7 +10,7 @@ from scipy import special
 from sinsjax.advice.sheet import Sheet
 from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import HeadingProblem
-from sinsjax.bounds.study_bound import budget_problem
+from sinsjax.execution.information import budget_problem
 from sinsjax.study.load import study_from_dict
 
 

@@ -7,8 +7,8 @@ import pytest
 from oracles.white_noise_bound import white_noise_bound
 from support.studies import STILL, small_study
 
-from sinsjax.bounds.study_bound import information_bound
 from sinsjax.errors import InputError
+from sinsjax.execution.information import information_bound
 from sinsjax.strapdown import earth
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
