@@ -68,17 +68,12 @@ class Job(NamedTuple):
     forecast: Forecast | None = None
 
     @property
-    def initial_draws(self) -> int:
-        """Number of draws before the first extension."""
-        return min((*self.extended_at, self.study.n_draws))
-
-    @property
     def identity(self) -> str:
         """Hash of everything that determines the rows: the study and its record, as hex digits.
 
         An extension of the study does not change it.
         """
-        study = with_draws(self.study, self.initial_draws) if self.extended_at else self.study
+        study = with_draws(self.study, min(self.extended_at)) if self.extended_at else self.study
         digest = hashlib.sha256(fingerprint(study).encode())
         if self.stored is not None:
             record, reference = self.stored
@@ -146,8 +141,9 @@ class TaskRunner:
         self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
         self.schemas = self._tables.schemas
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
+        first_draws = min((*job.extended_at, job.study.n_draws))  # before any extension
         self._duplicates = [
-            find_duplicates(spec, job.initial_draws, job.study.duplicate_of[ids])
+            find_duplicates(spec, first_draws, job.study.duplicate_of[ids])
             for spec, ids in zip(scenario.specs, scenario.variant_ids, strict=True)
         ]
         self._lock = threading.Lock()
