@@ -8,7 +8,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from itertools import count, groupby
 from pathlib import Path
@@ -209,10 +209,10 @@ class TaskRunner:
                 content[name] = sealed.to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
-    def compile(self, tasks: Iterable[Task]) -> None:
+    def compile(self, tasks: Iterable[Task], on_compiled: Callable[[Future], None]) -> None:
         """Begin to compile the programs of some tasks of one stage, in their order."""
         for program, of in groupby(tasks, lambda task: task.part):
-            self._compiling(program, range(*next(of).draws))
+            self._compiling(program, range(*next(of).draws)).add_done_callback(on_compiled)
 
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""
