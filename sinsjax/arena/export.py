@@ -35,7 +35,7 @@ from sinsjax.execution.directory import STUDY, check_directory, lock_directory, 
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
-from sinsjax.records import write_csv, write_parquet
+from sinsjax.records import write_record
 from sinsjax.records.layout import RecordLayout
 from sinsjax.study.identity import fingerprint, with_draws
 from sinsjax.study.load import load_study, study_to_toml
@@ -180,11 +180,8 @@ def _write_records(
         records = simulated_records(runs.batch(runs.part_of(number)), study.rate_hz, study.name)
         for draw, record in zip(runs.draws, records, strict=True):
             names.append(record_name(runs, form, number, draw))
-            if form.format == "parquet":
-                write_parquet(record, directory / names[-1], layout)
-            else:
-                delimiter = " " if form.format == "psins" else ","
-                write_csv(record, directory / names[-1], layout, delimiter=delimiter)
+            delimiter = " " if form.format == "psins" else ","
+            write_record(record, directory / names[-1], layout, delimiter=delimiter)
             if on_progress is not None:
                 total = n_environments * len(runs.draws)
                 on_progress(RunProgress(len(names), total, None, 0, "records"))

@@ -251,9 +251,10 @@ def load_increments(
         InputError: a file cannot be used, or the study has no [record].
 
     Examples:
-        >>> from sinsjax.records import write_psins
-        >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")
-        >>> stored = sinsjax.load_increments("car_test", "car.imu")
+        >>> from sinsjax.records import write_record
+        >>> layout = sinsjax.load_study("csv_log").record.layout(rate_hz=100.0)
+        >>> write_record(sinsjax.simulated_record("paper1_resets"), "drive.csv", layout)
+        >>> stored = sinsjax.load_increments("csv_log", "drive.csv")
         >>> stored.record.rate_hz, stored.reference is None
         (100.0, True)
     """

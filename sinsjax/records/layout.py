@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,15 +28,10 @@ ACCEL_UNITS = {
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
-_FACTORS = {
-    **GYRO_UNITS[INCREMENTS],
-    **GYRO_UNITS[RATES],
-    **ACCEL_UNITS[INCREMENTS],
-    **ACCEL_UNITS[RATES],
-}
+_TABLES = (*GYRO_UNITS.values(), *ACCEL_UNITS.values())
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
-"""Factors to s, by unit name; ISO dates are read as seconds since 1970."""
+"""Factors to s, by unit name; dates with time are read as seconds since 1970."""
 
 NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
 """Orders of axes by the directions of x, y and z: right, front, left, up or down."""
@@ -219,7 +214,7 @@ def is_rate(unit: str) -> bool:
 
 def unit_factor(unit: str) -> float:
     """Return the factor of a unit of gyros or accelerometers to SI."""
-    return _FACTORS[unit]
+    return next(units[unit] for units in _TABLES if unit in units)
 
 
 def rate_factor(unit: str, rate_hz: float) -> float:
@@ -248,23 +243,15 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     return index, signs
 
 
-def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
-    """Return the rotation (3, 3) from the axes of the box to those of the vehicle.
-
-    The attitude of the box is in the order of `Record.attitude_deg`, C = Rz(yaw) Rx(pitch)
-    Ry(roll).
-    """
-    (cp, cr, cy), (sp, sr, sy) = (f(np.multiply(mounting_deg, DEG)) for f in (np.cos, np.sin))
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
-    about_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
-    return np.asarray(about_z @ about_x @ about_y)
-
-
 def to_vehicle_axes(values: FloatArray, layout: RecordLayout) -> FloatArray:
     """Transform (T, 3) vectors from a record's axes to those of the vehicle, right-front-up."""
-    values, mounting = to_body_axes(values, layout.axes_order), layout.mounting_deg
-    return values @ mounting_matrix(mounting).T if any(mounting) else values
+    values, (pitch, roll, yaw) = to_body_axes(values, layout.axes_order), layout.mounting_deg
+    if not any(layout.mounting_deg):
+        return values
+    from scipy.spatial.transform import Rotation  # half the import time of sinsjax
+
+    mounting = Rotation.from_euler("ZXY", [yaw, pitch, roll], degrees=True)
+    return np.asarray(mounting.apply(values))
 
 
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:

@@ -17,7 +17,7 @@ from sinsjax.arena.export import Form, export_study
 from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import misalignment
-from sinsjax.records import read_csv, read_parquet
+from sinsjax.records import read_record
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -42,7 +42,7 @@ def read_initial(folder: Path) -> list[dict[str, str]]:
 @pytest.mark.parametrize("kind", export.FORMATS)
 def test_exported_record_has_the_engines_increments_to_the_bit(kind: str, tmp_path: Path) -> None:
     out = export_study(study(), tmp_path / "out", format=kind)
-    read = read_parquet if kind == "parquet" else read_csv
+    read = read_record
     for draw, path in enumerate(sorted(out.glob("imu/*"))):
         record = read(path, export.record_layout(Form(kind)))
         made = sinsjax.simulated_record(study(), draw)

@@ -19,7 +19,7 @@ from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import prepare, run
 from sinsjax.execution.checks import study_warnings
 from sinsjax.execution.directory import read_manifest
-from sinsjax.records import Record, RecordLayout, Reference, motion, write_csv
+from sinsjax.records import Record, RecordLayout, Reference, motion, write_record
 from sinsjax.records.checks import StationaryValues, check_stationary
 from sinsjax.records.layout import Finding
 from sinsjax.records.motion import integrate_attitudes
@@ -249,7 +249,7 @@ def test_fractional_rate_and_late_clock_use_record_times(tmp_path: Path) -> None
     some = some._replace(t0_s=1000.0)
     section = {"time_column": "t", "gyro_columns": tuple("abc"), "accel_columns": tuple("def")}
     section |= {"gyro_unit": "rad", "accel_unit": "m_per_s"}
-    write_csv(some, tmp_path / "drive.csv", RecordLayout("csv", **section))
+    write_record(some, tmp_path / "drive.csv", RecordLayout("csv", **section))
     rows = "".join(f"{1000 + t},0,0,350\n" for t in range(21))
     (tmp_path / "r.csv").write_text("time_s,pitch_deg,roll_deg,heading_deg\n" + rows)
     study = recorded(

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
+from support.psins_logs import write_psins
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study, read_files_and_times
 
@@ -20,7 +21,7 @@ from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_part_metadata, read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
-from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
+from sinsjax.records import PSINS_LAYOUT, read_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study

@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.commands import Command
+from support.psins_logs import write_psins
 from support.refusals import assert_named
 from support.studies import STILL, small_study
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.records import write_psins
 from sinsjax.records.layout import NAMED_AXES, from_body_axes
 from sinsjax.study.from_record import make_study_text
 
@@ -108,7 +108,6 @@ CLEAN = {
     "m/sec2": ("flu", "Time", 1, "Gyro@[deg/s]", DEG, "Acc@[m/sec2]", 1),
     "MicroStrain": ("frd", "GPS TOW", 1, "@ Gyro [x8005]", 1, "@ Accel [x8004]", G),
     "ROS": ("flu", "header.stamp", 1e9, "angular_velocity.@", 1, "linear_acceleration.@", 1),
-    "ArduPilot": ("frd", "TimeUS", 1e6, "Gyr@", 1, "Acc@", 1),
     "PX4": ("frd", "timestamp", 1e6, "gyro_rad[@]", 1, "accelerometer_m_s2[@]", 1),
     "deg/h and ug": ("flu", "t", 1, "w@ [deg/h]", DEG / 3600, "f@ [ug]", 1e-6 * G),
     "increments": ("flu", "time_s", 1, "dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE),
@@ -126,24 +125,12 @@ def clean_logs(body: Samples, folder: Path) -> dict[str, Path]:
     logs: dict[str, tuple[list[np.ndarray], Sequence[str]]] = {}
     for name, (axes, time, to_time, gyro, rad_per_s, accel, m_per_s2) in CLEAN.items():
         g, a = in_axes(body, axes)
-        letters = {"PX4": "012", "ArduPilot": "XYZ", "axes before": "123"}.get(name, "xyz")
+        letters = {"PX4": "012", "axes before": "123"}.get(name, "xyz")
         names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in letters]
         logs[name] = [TIME * to_time, g / rad_per_s, a / m_per_s2], [time, *names]
-    (gyro, accel), (frd, _), (flu, flu_accel) = body, in_axes(body, "frd"), in_axes(body, "flu")
-    turns = [f"{turn}Rate (deg/s)" for turn in ("Roll", "Pitch", "Yaw")]
-    ways = [f"acc_{way}" for way in ("right", "front", "up")]
-    logs["roll rate"] = [TIME, gyro[:, [1, 0, 2]] / DEG, accel], ["time", *turns, *ways]
-    frd_names = [f"gyro_{way} (rad/s)" for way in ("front", "right", "down")]
-    logs["two orders"] = [TIME, frd, accel], ["time", *frd_names, *ways]
+    flu, flu_accel = in_axes(body, "flu")
     attitude = np.tile([1.0, -2.0, -35.0], (len(TIME), 1))
     logs["beside attitude"] = [TIME, flu, flu_accel, attitude], [*UNITS, "pitch", "roll", "yaw"]
-    negative = [n.replace("_y", "_neg_y") for n in UNITS]
-    rfu = np.column_stack([gyro, accel])
-    logs["negative"] = [TIME, rfu * [1, -1, 1, 1, -1, 1]], [f"rfu_{n}" for n in negative]
-    logs["force without gravity beside"] = (
-        [TIME, flu, flu_accel - flu_accel.mean(axis=0), flu_accel],
-        [*UNITS[:4], *(f"linear_accel_{a}" for a in XYZ), *(f"total_accel_{a}" for a in XYZ)],
-    )
     return {name: write(folder / f"{k}.csv", *log) for k, (name, log) in enumerate(logs.items())}
 
 
@@ -199,7 +186,7 @@ COLUMNS = {"gyro_columns": [*"abc"], "accel_columns": [*"def"]}
         (
             GYROS + ACCELS,
             (131e3 / DEG, 16384 / G),
-            {"gyro_scale": "counts", "accel_scale": "6.1", "gyro_unit": "no name"},
+            {"accel_unit": "if these are counts, one is 6.1", "gyro_unit": "no name"},
         ),
         (FREE, (1, 1), {"gyro_columns": "b 4.0", "accel_columns": "f 9.8", "gyro_unit": "open"}),
         ((), (1, 1), {"gyro_columns": "column_1 15.02", "accel_columns": "column_7 9.8"}),
@@ -207,8 +194,9 @@ COLUMNS = {"gyro_columns": [*"abc"], "accel_columns": [*"def"]}
         (UNITS[1:4] + tuple(f"accel_ned_{a}" for a in XYZ), (1, 1), {"accel_columns": "ned"}),
         (UNITS[1:] + ("gyro2_x", "gyro2_y", "gyro2_z"), (1, 1), {"gyro_columns": "gyro2_x"}),
         (tuple(f"frd_{n}" for n in UNITS[1:]), (1, 1), {"axes_order": "'frd'"}),
-        (UNITS[1:4] + WAYS, (1, 1), {"axes_order": "right, front and up"}),
-        (TURN_RATES + UNITS[4:], (1, 1), {"axes_order": "right, front and up"}),
+        (UNITS[1:4] + WAYS, (1, 1), {"accel_columns": "acc_up 9.8"}),
+        (UNITS[1:4] + ("accel_x", "accel_neg_y", "accel_z"), (1, 1), {"accel_columns": "neg_y"}),
+        (TURN_RATES + UNITS[4:], (1, 1), {"gyro_columns": "yaw_rate"}),
         (UNITS[1:], "up x", {"axes_order": "yzx"}),
     ],
 )  # fmt: skip
@@ -265,7 +253,7 @@ def test_open_question_is_refused_with_its_evidence_until_answered(body, sinsjax
 
 @pytest.mark.parametrize(
     ("column", "labels"),
-    [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("0", "1"))],
+    [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("7.5", "1.5"))],
 )
 def test_rows_of_sensors_in_turn_are_refused_with_the_way_on(column, labels, tmp_path):
     rows = [f"{labels[k % 2]},{k},1,2,3,4,5,6" for k in range(100)]
