@@ -36,25 +36,22 @@ def record_from_arrays(  # noqa: PLR0913
     Its study needs ``[record] format = "arrays"``.
 
     Args:
-        time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time of any
-            library, in UTC unless they have a zone; None if ``rate_hz`` determines the times.
-        gyro: (T, 3) angular rates averaged over each sample, or increments over it, depending on
-            the unit; nan if a sample is missing.
+        time: (T,) time at the end of each sample, in ``time_unit`` or as dates with time, in UTC
+            unless they have a zone; None if ``rate_hz`` determines the times.
+        gyro: (T, 3) angular rates averaged over each sample, or increments over it; nan if missing.
         accel: (T, 3) specific forces likewise; upward on a base at rest.
         gyro_unit: "rad_per_s", "deg_per_s", "deg_per_h"; for increments "rad", "deg", "arcsec".
         accel_unit: "m_per_s2", "g", "mg", "ug"; for increments "m_per_s", "g_s", "ug_s".
         time_unit: "s", "ms", "us" or "ns".
-        axes: directions of x, y and z of both arrays: "rfu" (right, front, up), "frd" or "flu"; or
-            the axes that point right, front and up as a signed permutation, such as "y-xz".
-        mounting_deg: attitude of these axes in the vehicle: pitch, roll and yaw
-            (counter-clockwise), deg.
+        axes: directions of x, y and z: "rfu" (right, front, up), "frd" or "flu"; or the axes that
+            point right, front and up as a signed permutation, such as "y-xz".
+        mounting_deg: attitude of these axes in the vehicle: pitch, roll, counter-clockwise yaw.
         rate_hz: sample rate, Hz; None takes it from the times.
-        max_gap_s: longest time between two good samples across which missing ones are interpolated.
+        max_gap_s: longest gap between good samples that is interpolated.
         latitude_deg: geodetic latitude, which a study's [earth] may then omit.
         height_m: height above the ellipsoid, likewise.
         reference: attitude to compare with: a mapping or table with the columns of
-            `read_reference` (time_s, on the clock of ``time``, pitch_deg, roll_deg, and yaw_deg or
-            heading_deg), or a `Reference`.
+            `read_reference`, on the clock of ``time``, or a `Reference`.
         source: name of the record, for messages and manifests.
 
     Returns:

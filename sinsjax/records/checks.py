@@ -29,7 +29,7 @@ GYRO_BIAS, ACCEL_BIAS_UG = 10.0 * DEG_PER_H, 5000.0
 LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
 """The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
 
-_NEAR_GRAVITY = 0.1  # relative: accelerometers are better
+_NEAR_GRAVITY = 0.018  # relative: cm/s^2 would be mg with 0.0193
 _MAX_G, _MAX_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _MAX_REPORTED = 6  # anomalies, in messages
 _STUCK_S = 1.0  # of all six channels: a single coarse one may repeat for long
@@ -81,16 +81,9 @@ def find_anomalies(
 ) -> tuple[Finding, ...]:
     """Return samples out of range, and channels that are stuck.
 
-    They are found while a file is read, since only then its rows are known. Values (T, 6) are those
-    of three gyros, then of three accelerometers; factors (6,) convert them to rad/s or m/s^2.
+    Values (T, 6) are those of gyros, then of accelerometers; factors (6,) make them rad/s or m/s^2.
     """
     count, found = len(values), list[Finding]()
-
-    def add(begin: int, end: int, text: str, *, is_certain: bool = False) -> None:
-        first, last = row_number(begin), row_number(end - 1)
-        rows = f"row {first}" if first == last else f"rows {first} to {last}"
-        found.append(Finding(is_certain, f"{rows}: {text}", begin=begin, end=end))
-
     limits = [(DEG, "deg/s", _MAX_DEG_PER_S)] * 3 + [(STANDARD_GRAVITY, "g", _MAX_G)] * 3
     for name, column, factor, limit in zip(names, values.T, factors, limits, strict=True):
         unit, word, largest = limit
@@ -98,22 +91,23 @@ def find_anomalies(
         if np.nanmedian(sizes) > 0.1 * largest:
             continue  # if most are large, the unit is wrong, which the mean reveals
         for begin, end in find_spans(sizes > largest):
+            rows = f"rows {row_number(begin)} to {row_number(end - 1)}: column {name!r}"
             size = f"{column[begin]:.6g} is {column[begin] * factor / unit:.4g} {word}"
-            text = f"column {name!r}: {size}, and no base at rest has more than {largest:g} {word}"
-            add(begin, end, f"{text}: leave such cells empty, as missing samples", is_certain=True)
-    constant = (values == values[0]).all(axis=0)
+            text = f"{rows}: {size}, and no base at rest has more than {largest:g} {word}"
+            hint = "leave such cells empty, as missing samples"
+            found.append(Finding(True, f"{text}: {hint}", begin=begin, end=end))
     if count < (stuck := max(2, round(_STUCK_S * rate_hz))):
         return tuple(found)
-    if constant.all():
-        text = "no channel changes in any row: is this a log of sensors?"
-        return (*found, Finding(False, text, begin=0, end=count))
-    for channel in np.flatnonzero(constant).tolist():
-        text = f"column {names[channel]!r} is {values[0, channel]:.6g} in every row"
-        found.append(Finding(False, f"{text}: is that sensor dead?", begin=0, end=count))
+    constant = (values == values[0]).all(axis=0)
+    if dead := ", ".join(repr(names[channel]) for channel in np.flatnonzero(constant).tolist()):
+        text = f"constant in every row: column {dead}: is this sensor dead?"
+        found.append(Finding(False, text, begin=0, end=count))
     for begin, last in find_spans((values[1:] == values[:-1]).all(axis=1)):
-        if last + 1 - begin >= stuck:
+        if last + 1 - begin >= stuck and not constant.all():
+            rows = f"rows {row_number(begin)} to {row_number(last)}"
             text = f"all six channels are stuck for {(last + 1 - begin) / rate_hz:.3g} s"
-            add(begin, last + 1, f"{text}: did the sensor or the logger stop?")
+            hint = "did the sensor or the logger stop?"
+            found.append(Finding(False, f"{rows}: {text}: {hint}", begin=begin, end=last + 1))
     return tuple(found)
 
 
@@ -172,12 +166,11 @@ def _check_force(
         yield Finding(is_certain, f"{text} gravity: {cause}")
     length = float(np.linalg.norm(motion.force)) or 1.0
     tilt = math.acos(max(-1.0, min(1.0, motion.force[2] / length)))
-    if tilt > 90 * DEG:
-        text = f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
-        hint = " the axes ('yx-z' for front-right-down) and signs of the accelerometers right?"
-        yield Finding(True, text + hint)
-    elif tilt > _MAX_TILT:
-        yield Finding(False, f"the up axis is tilted by {tilt / DEG:.3g} deg: are the axes right?")
+    if tilt > _MAX_TILT:
+        points = "points down" if tilt > 90 * DEG else "is tilted"
+        text = f"the specific force {points}, {tilt / DEG:.3g} deg from the up axis: are the axes"
+        hint = f"{text} ('yx-z' for front-right-down) and signs of the accelerometers right?"
+        yield Finding(tilt > 90 * DEG, hint)
 
 
 def _check_gyros(motion: Motion, expected: StationaryValues, noise: float) -> Iterator[Finding]:
@@ -221,22 +214,18 @@ def _describe_hidden_north(motion: Motion, expected: StationaryValues) -> str:
 def _check_rate(motion: Motion, expected: StationaryValues, noise: float) -> Iterator[Finding]:
     """Compare the mean rate of gyros that may find north, and its vertical part, with Earth's."""
     earth, uncertainty = expected.earth_rate, motion.vertical_uncertainty + motion.drift_uncertainty
-    if motion.drift_uncertainty > expected.horizontal_rate / 2 and (
-        motion.drift + motion.drift_uncertainty > earth + expected.gyro_bias
+    largest_drift = motion.drift + motion.drift_uncertainty
+    if (
+        motion.drift_uncertainty > expected.horizontal_rate / 2
+        and largest_drift > earth + expected.gyro_bias
     ):
-        text = (
-            "whether these gyros find north cannot be determined: in their frame the vertical"
-            f" drifts by {motion.drift / DEG_PER_H:.3g} deg/h, give or take"
-            f" {motion.drift_uncertainty / DEG_PER_H:.3g}"
-        )
-        yield Finding(False, text)
+        drift = f"up to {largest_drift / DEG_PER_H:.3g} deg/h"
+        text = f"in the frame of its gyros the vertical drifts by {drift}"
+        yield Finding(False, f"{text}: whether they find north cannot be determined")
         return
     if (turn := motion.uneven_turn - motion.sway) > _MAX_PARKED_TURN:
-        text = (
-            f"the base turns by about {turn / DEG:.3g} deg within the span used: the"
-            " attitude at its end differs from that at its start"
-        )
-        yield Finding(False, text)
+        text = f"the base turns by about {turn / DEG:.3g} deg within the span used"
+        yield Finding(False, f"{text}: the attitude at its end differs from that at its start")
         return
     if motion.length_s < _SHORT_S:
         return
@@ -248,20 +237,15 @@ def _check_rate(motion: Motion, expected: StationaryValues, noise: float) -> Ite
     # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
     off_earth = abs(motion.magnitude - earth)
     sigma = math.hypot(uncertainty / 3, off_earth, _BIAS_PER_ARW * noise / 60) / earth
-    measured = (
-        f"the mean rate is {motion.magnitude / DEG_PER_H:.3g} deg/h,"
-        f" {motion.magnitude / earth:.3g} times Earth rate, of a latitude of"
-        f" {motion.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}"
-    )
-    if bias > largest + uncertainty:
+    is_elsewhere = is_quiet and abs(motion.latitude - expected.latitude) > 5 * sigma
+    if bias > largest + uncertainty or is_elsewhere:
         accepted = math.ceil(10 * bias / DEG_PER_H) / 10
         text = (
-            f"{measured}: are the gyros' unit and scale, their axes and the latitude right, or is"
-            f" there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
-            f" gyro_bias_deg_per_h = {accepted:g} if so)? The heading cannot be trusted, nor pitch"
-            " and roll of 'inertial' or 'optimisation' ('level' finds these)"
+            f"the mean rate is {motion.magnitude / DEG_PER_H:.3g} deg/h,"
+            f" {motion.magnitude / earth:.3g} times Earth rate, of a latitude of"
+            f" {motion.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}, and not"
+            f" {expected.latitude / DEG:.6g}: are latitude_deg and the gyros' unit and scale right,"
+            f" or is there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
+            f" gyro_bias_deg_per_h = {accepted:g} if so)? Only the method 'level' is not affected"
         )
         yield Finding(False, text)
-    elif is_quiet and abs(motion.latitude - expected.latitude) > 5 * sigma:
-        given = f"{expected.latitude / DEG:.6g}"
-        yield Finding(False, f"{measured}, and not {given}: is [earth] latitude_deg right?")

@@ -20,6 +20,7 @@ _MAX_STEPS = 2**19  # analysed steps of a span; in a longer one, samples are sum
 _NOISE_SAMPLES = 2**17  # enough for a median
 _MIN_TURN = 20 * DEG  # in addition to a steady rate
 _MIN_TURN_RATE = 2 * DEG  # per second, if steady: a bias is less
+_MAX_TURNED_TILT = 5 * DEG  # a base that tilts is not turned on the spot
 _MIN_TURNED_RATIO = 0.8  # of gravity: even poor gyros follow the vertical of a turned base
 
 
@@ -43,7 +44,8 @@ class Motion(NamedTuple):
     def is_turned(self) -> bool:
         """Whether the base is turned about the vertical; sensor biases turn with it."""
         turns = self.uneven_turn > _MIN_TURN or abs(self.vertical_rate) > _MIN_TURN_RATE
-        return turns and self.resolved_ratio > _MIN_TURNED_RATIO
+        is_level = self.resolved_ratio > _MIN_TURNED_RATIO and self.tilt_change < _MAX_TURNED_TILT
+        return turns and is_level
 
     @property
     def magnitude(self) -> float:

@@ -23,44 +23,31 @@ _OTHERS = re.compile(
 _INCREMENTS = re.compile(r"delta|^d_?(v|theta|ang)|_d(v|theta)|incr")
 _SPELLINGS = {
     "gyro": {
-        ("rad_per_s", 1.0): "rad/s rads rad_s rps x8005",
-        ("rad_per_s", 1e-3): "mrad/s mrads mrad_s",
-        ("deg_per_s", 1.0): "deg/s degs deg_s dps",
-        ("deg_per_s", 1e-3): "mdeg/s mdegs mdeg_s mdps",
-        ("deg_per_h", 1.0): "deg/h deg_h dph",
-        ("rad", 1.0): "rad x8007",
-        ("rad", 1e-3): "mrad",
-        ("rad", 1e-6): "urad",
-        ("deg", 1.0): "deg",
-        ("arcsec", 1.0): "arcsec as",
+        "rad_per_s": "rad/s rads rad_s rps x8005",
+        "deg_per_s": "deg/s degs deg_s dps",
+        "deg_per_h": "deg/h deg_h dph",
+        "rad": "rad x8007",
+        "deg": "deg",
+        "arcsec": "arcsec as",
     },
     "accel": {
-        ("m_per_s2", 1.0): "m/s2 mps2 ms2 m_s2 mss",
-        ("m_per_s2", 1e-2): "cm/s2 cm_s2 gal",
-        ("m_per_s2", 1e-3): "mm/s2 mm_s2",
-        ("g", 1.0): "g gs x8004",
-        ("mg", 1.0): "mg",
-        ("ug", 1.0): "ug",
-        ("m_per_s", 1.0): "m/s mps m_s",
-        ("g_s", 1.0): "g_s g.s x8008",
-        ("ug_s", 1.0): "ug_s ugs",
+        "m_per_s2": "m/s2 mps2 ms2 m_s2 mss",
+        "g": "g gs x8004",
+        "mg": "mg",
+        "ug": "ug",
+        "m_per_s": "m/s mps m_s",
+        "g_s": "g_s g.s x8008",
+        "ug_s": "ug_s ugs",
     },
 }
-"""Spellings of units and their multiples, as `_spell` returns them; x8004 is MicroStrain's code."""
-
-
-class Unit(NamedTuple):
-    """A multiple of a unit of `layout.GYRO_UNITS` or `ACCEL_UNITS`; "" if none is stated."""
-
-    name: str = ""
-    factor: float = 1.0
+"""Spellings of units, as `parse_unit` simplifies them; x8004 is MicroStrain's code."""
 
 
 class Triad(NamedTuple):
     """Three columns of one sensor, and what their names or a row of units state."""
 
     names: tuple[str, ...]  # x, y, z
-    unit: Unit = Unit()
+    unit: str = ""  # of `layout.GYRO_UNITS` or `ACCEL_UNITS`
     are_increments: bool = False
 
 
@@ -69,7 +56,7 @@ class _Name(NamedTuple):
 
     stem: str
     axis: str
-    unit: Unit
+    unit: str
 
 
 def find_triads(names: Iterable[str], sensor: str, units: Mapping[str, str]) -> list[Triad]:
@@ -80,7 +67,7 @@ def find_triads(names: Iterable[str], sensor: str, units: Mapping[str, str]) -> 
         sensor: of the triads.
         units: in words by name, from a row of units.
     """
-    groups: dict[tuple[str, Unit], dict[str, str]] = {}
+    groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         stem, axis, unit = _parse_name(name, sensor, units.get(name, ""))
         kinds = (kind for kind, words in _SENSORS if re.search(words, stem))
@@ -103,14 +90,14 @@ def _parse_name(name: str, sensor: str, stated_unit: str) -> _Name:
     words = [word for word in re.split(r"[^a-z0-9/°^²*µμ]+", separated) if word]
     for place in (-1, 0, -2):  # after a unit, as in acc_x_m_s2; before it, as in gyro_rad[0]
         for count in (3, 2, 1):
-            found = parse_unit("_".join(words[-count:]), sensor) if len(words) > count else None
+            found = parse_unit("_".join(words[-count:]), sensor) if len(words) > count else ""
             if found and not unit:
                 unit, words = found, words[:-count]
         if not axis and len(words) >= max(2, -place) and words[place] in {*"xyz0123"}:
             axis = words.pop(place)
     if not axis and words and (glued := re.fullmatch(r"(.*[a-z])([xyz0-3])", words[-1])):
         words[-1], axis = glued.groups()
-    return _Name("_".join(words), axis, unit or Unit())
+    return _Name("_".join(words), axis, unit)
 
 
 def find_named_orders(texts: Iterable[str]) -> list[str]:
@@ -123,8 +110,8 @@ def find_named_orders(texts: Iterable[str]) -> list[str]:
     return sorted(orders)
 
 
-def parse_unit(text: str, sensor: str) -> Unit | None:
-    """Return the unit of a ``"gyro"`` or ``"accel"`` that a text spells, or None."""
+def parse_unit(text: str, sensor: str) -> str:
+    """Return the unit of a ``"gyro"`` or ``"accel"`` that a text spells, or ""."""
     text = re.sub(r"[\s^·*()\[\]]+", "", text.lower()).replace("²", "2")
     text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("_per_", "/")
     for pattern, word in (
@@ -138,5 +125,5 @@ def parse_unit(text: str, sensor: str) -> Unit | None:
         (r"/s/s$", "/s2"),
     ):
         text = re.sub(pattern, word, text)
-    found = (Unit(*unit) for unit, forms in _SPELLINGS[sensor].items() if text in forms.split())
-    return next(found, None)
+    found = (unit for unit, forms in _SPELLINGS[sensor].items() if text in forms.split())
+    return next(found, "")

@@ -7,7 +7,7 @@ be answered before anything is aligned.
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
@@ -56,7 +56,7 @@ _MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeate
 
 @dataclass
 class Proposal:
-    """The layout of the record in a log, and what is not known of it, by key of the layout."""
+    """The layout of the record in a log, and what is not known of it, by key."""
 
     layout: RecordLayout  # open keys have values to examine the log with
     rate_hz: float = math.nan  # nan if it is an open question
@@ -101,9 +101,8 @@ def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
 
 def _refuse_tagged_rows(table: Table) -> None:
     """Refuse a file whose rows are of several sensors in turn."""
-    for name in table.kinds:
-        cells = table.data[name][:_HEAD_ROWS].drop_null().to_pylist()
-        labels = [*dict.fromkeys(map(str, cells))]
+    for name, column in zip(table.names, table.data.columns, strict=True):
+        labels = [*dict.fromkeys(map(str, column[:_HEAD_ROWS].drop_null().to_pylist()))]
         tags = [cell for cell in labels if _TAG.search(cell)]
         if len(tags) < 2 and _LABEL.fullmatch(name) and len(labels) <= _MAX_LABELS:
             tags = labels
@@ -116,12 +115,11 @@ def _refuse_tagged_rows(table: Table) -> None:
 # Sensors
 
 
-def _read_means(table: Table, names: Iterable[str]) -> dict[str, float]:
-    """Return the means of columns, which are read at once; nan without a number."""
-    wanted = [*dict.fromkeys(names)]
-    good = (values[np.isfinite(values)] for values in table.read(wanted))
-    means = (float(values.mean()) if len(values) else math.nan for values in good)
-    return dict(zip(wanted, means, strict=True))
+def _read_means(table: Table, names: Sequence[str]) -> dict[str, float]:
+    """Return the means of columns; nan without a number."""
+    finite = (values[np.isfinite(values)] for values in table.read(names))
+    means = (float(values.mean()) if len(values) else math.nan for values in finite)
+    return dict(zip(names, means, strict=True))
 
 
 def _find_triad(
@@ -135,13 +133,13 @@ def _find_triad(
         return found._replace(names=tuple(answers[key]))
     if len(triads) == 1:
         return triads[0]
-    problem = f"no three columns are named as x, y and z of {_SENSORS[sensor]}"
+    problem = f"no three columns are named as x, y and z of {_SENSORS[sensor]}."
     if triads:
         problem = f"which of these are the {_SENSORS[sensor]}, with gravity?"
     numbers = [name for name, kind in table.kinds.items() if kind == "numbers"]
     means = _read_means(table, [*chain(*(triad.names for triad in triads))] or numbers)
     shown = "; ".join(f"{name} {mean:.4g}" for name, mean in means.items())
-    proposal.questions[key] = f"{problem}. Means: {shorten(shown, 400)}"
+    proposal.questions[key] = f"{problem} Means: {shorten(shown, 400)}"
     return None
 
 
@@ -151,13 +149,9 @@ def _propose_sensors(
     """Propose units, scales and axes of both sensors, with reasons or questions."""
     gyro, accel = triads
     means = _read_means(table, [*gyro.names, *accel.names])
-    scales = {
-        f"{sensor}_scale": answers.get(f"{sensor}_scale", (triad.unit.factor,) * 3)
-        for sensor, triad in zip(_SENSORS, triads, strict=True)
-    }
     rate, force = (
-        np.array([means[name] for name in triad.names]) * scale
-        for triad, scale in zip(triads, scales.values(), strict=True)
+        np.array([means[name] for name in triad.names]) * answers.get(f"{sensor}_scale", 1.0)
+        for sensor, triad in zip(_SENSORS, triads, strict=True)
     )
     size = float(np.linalg.norm(force))
     accel_unit = answers.get("accel_unit") or _accel_unit(accel, size, proposal)
@@ -166,13 +160,13 @@ def _propose_sensors(
     texts = [*table.comments, *table.names, " ".join(gyro.names), " ".join(accel.names)]
     axes = _axes_order(find_named_orders(texts), force / (size or 1.0), proposal)
     proposal.layout = proposal.layout._replace(
-        gyro_unit=gyro_unit, accel_unit=accel_unit, axes_order=axes, **scales
+        gyro_unit=gyro_unit, accel_unit=accel_unit, axes_order=axes
     )
 
 
 def _accel_unit(accel: Triad, size: float, proposal: Proposal) -> str:
     """Return the unit of the accelerometers by their names or by gravity, or a question."""
-    unit, are_rates, rate_hz = accel.unit.name, not accel.are_increments, proposal.rate_hz
+    unit, are_rates, rate_hz = accel.unit, not accel.are_increments, proposal.rate_hz
     if unit:
         ratio = size * rate_factor(unit, rate_hz) / STANDARD_GRAVITY
         proposal.reasons["accel_unit"] = f"by the names; the mean is {ratio:.4g} times gravity"
@@ -188,7 +182,7 @@ def _accel_unit(accel: Triad, size: float, proposal: Proposal) -> str:
 
 def _gyro_unit(table: Table, gyro: Triad, accel_unit: str, size: float, proposal: Proposal) -> str:
     """Return the unit of the gyros by names, or one to examine them with, and a question."""
-    unit, rate_hz = gyro.unit.name, proposal.rate_hz
+    unit, rate_hz = gyro.unit, proposal.rate_hz
     if unit in ("rad", "deg") and not gyro.are_increments and is_rate(accel_unit):
         unit = f"{unit}_per_s"  # as PX4 writes gyro_rad
     if unit:
@@ -233,8 +227,7 @@ def _axes_order(named: list[str], up: FloatArray, proposal: Proposal) -> str:
         question = "no axis is near the vertical, and no name states the axes"
     elif axis == 2:
         order = "flu" if up[2] > 0 else "frd"
-        reason = f"{pointing}; x is taken for the front, so the heading is that of x"
-        proposal.reasons["axes_order"] = reason
+        proposal.reasons["axes_order"] = f"{pointing}; x is taken for the front"
     else:
         question = f'no name states the front; if it is {front}: axes_order = "{order}"'
     if question:
@@ -261,7 +254,7 @@ def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) ->
     kinds, given = table.kinds, answers.get("time_column")
     names = [
         name for name, kind in kinds.items()
-        if name == given or name not in taken
+        if name == given or name and name not in taken
         and (kind == "dates with time" or kind == "numbers" and _TIME_NAME.search(name))
     ]  # fmt: skip
     columns = table.read(names, [name for name in names if kinds[name] == "dates with time"])
@@ -281,7 +274,9 @@ def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) ->
         if others and is_whole and units[name] in ("", "s"):
             fields |= {"time_fraction_column": others[0], "time_fraction_unit": units[others[0]]}
         elif units[name] != "iso" and "time_unit" not in answers:
-            rates = _rates_by_unit(stamps[name])
+            steps = np.diff(stamps[name][np.isfinite(stamps[name])])
+            step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+            rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
             possible = [u for u, hz in rates.items() if _POSSIBLE_HZ[0] <= hz <= _POSSIBLE_HZ[1]]
             fields["time_unit"] = units[name] or (possible or ["s"])[0]
             if units[name] not in possible and (units[name] or len(possible) != 1):
@@ -307,9 +302,6 @@ def _try_clock(table: Table, clock: _Clock, stamps: Mapping[str, FloatArray]) ->
         return clock._replace(rate_hz=rate_hz)
     except InputError as error:
         question = str(error).removeprefix(f"{table.source}: ").partition(" (drop")[0]
-        if len(time_s) > 1 and np.ptp(time_s) > 0:
-            rate_hz = (len(time_s) - 1) / np.ptp(time_s)
-            question += f"; the mean step would give {rate_hz:.6g} Hz"
         return _Clock({}, math.nan, {"rate_hz": f"{question}: give the true rate"})
 
 
@@ -318,10 +310,3 @@ def _unit_by_name(table: Table, name: str) -> str:
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", table.units.get(name) or name)  # as TimeUS
     found = _TIME_UNIT.search(text.lower())
     return "" if not found else f"{(found[1] or '').replace('micro', 'u')[:1]}s"
-
-
-def _rates_by_unit(stamps: FloatArray) -> dict[str, float]:
-    """Return the rate that stamps (T,) would have in each unit, Hz."""
-    steps = np.diff(stamps[np.isfinite(stamps)])
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    return {unit: 1 / max(step * TIME_UNITS[unit], 1e-300) for unit in ("s", "ms", "us", "ns")}

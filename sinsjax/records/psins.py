@@ -54,12 +54,10 @@ def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     def refuse(number: int, problem: str) -> InputError:
         return InputError(f"{path}: row {lines[number].row}: header line {number + 1}: {problem}")
 
+    hint = "not PSINS text? `sinsjax init record --from LOG` writes a [record] for others"
     for number, line in enumerate(lines):
-        if not _is_header(line):
-            hint = "not PSINS text? `sinsjax init record --from LOG` writes a [record] for others"
+        if len(lines) < 3 or not _is_header(line):
             raise refuse(number, f"must have 6 numbers: {shorten(line.text, 60)!r} ({hint})")
-    if len(lines) < 3:
-        raise InputError(f"{path}: the header must have 3 lines, not {len(lines)}")
     pose, place, scale = (np.array([*map(float, line.text.split())]) for line in lines)
     pitch, roll, yaw = pose[:3].tolist()
     latitude, _, height, t0, interval_ms, gravity = place.tolist()

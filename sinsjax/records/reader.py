@@ -24,7 +24,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shorten, suggest_closest
+from sinsjax.messages import first_error_line, shorten, suggest_closest
 from sinsjax.records.layout import FloatArray
 
 MISSING_TEXT = "empty or not finite"
@@ -84,21 +84,22 @@ class Table(NamedTuple):
 
     def _read(self, name: str, kind: str) -> FloatArray:
         column = self.data[name]
+
+        def refuse(k: int, text: str) -> InputError:
+            place = f"{self.source}: row {self.row_number(k)}"
+            return InputError(f"{place}: column {name!r}: {text}")
+
         if _kind(column.type) != kind:
             cells = (_kind(_to_typed(column.slice(k, 1)).type) for k in range(len(column)))
             k = next((k for k, found in enumerate(cells) if found != kind), 0)
-            raise self._cell_error(name, k, f"{shorten(str(column[k]), 24)!r} is not one of {kind}")
+            raise refuse(k, f"{shorten(str(column[k]), 24)!r} is not one of {kind}")
         if kind != "numbers":
             whole = column.cast(pa.timestamp("ns")).cast(pa.int64())
             column = pc.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
         values = np.asarray(column.to_numpy())
         if (large := np.isfinite(values) & (np.abs(values) > _MAX_MAGNITUDE)).any():
-            text = f"out of range (beyond {_MAX_MAGNITUDE:g})"
-            raise self._cell_error(name, int(large.argmax()), text)
+            raise refuse(int(large.argmax()), f"out of range (beyond {_MAX_MAGNITUDE:g})")
         return values
-
-    def _cell_error(self, name: str, k: int, text: str) -> InputError:
-        return InputError(f"{self.source}: row {self.row_number(k)}: column {name!r}: {text}")
 
 
 def _kind(kind: pa.DataType) -> str:
@@ -182,7 +183,6 @@ class _Shape(NamedTuple):
     names: list[str]
     delimiter: str
     begin: int  # row of the first possible sample
-    is_named: bool = True  # by the file or by the user
     units: Sequence[str] = ()
 
 
@@ -199,10 +199,8 @@ def read_lines(path: str | Path) -> Iterator[str]:
                 yield line.rstrip("\r\n")
     except UnicodeError:
         raise InputError(f"{path}: {_NO_TEXT}") from None
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise InputError(f"{path}: a damaged or incomplete archive (unpack it)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (EOFError, zlib.error, OSError) as error:
+        raise InputError(f"{path}: cannot be read: {first_error_line(error)}") from None
 
 
 def data_lines(lines: Iterable[str], begin: int = 1) -> Iterator[Line]:
@@ -268,7 +266,7 @@ def _find_shape(columns: list[str], data: list[Line], comments: list[str]) -> _S
         if len(names) == len(samples) and not any(map(is_number, names)):
             return _Shape(names, delimiter, data[0].row)
     names = [f"column_{number}" for number in range(1, len(samples) + 1)]
-    return _Shape(names, delimiter, data[0].row, is_named=False)
+    return _Shape(names, delimiter, data[0].row)
 
 
 def _are_samples(cells: Sequence[str]) -> bool:
@@ -318,7 +316,7 @@ def _split_batch(path: str | Path, shape: _Shape, data: list[Line]) -> pa.Table:
         found = bad[0].actual_columns
         problem = f"the header has {count} columns, this row has {found}"
         hint = "if it is the last row: is the file cut off?"
-        if not shape.is_named:
+        if shape.names[0] == "column_1":
             problem = f"{found} cells follow {count} in row {shape.begin}, and no header names them"
             hint = "keep the rows of one kind, and name their columns in [record] columns"
         raise InputError(f"{path}: row {data[bad[0].number - 1].row}: {problem} ({hint})")

@@ -92,19 +92,15 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     first, last = reference.time_s[0], reference.time_s[-1]
     begin, end = times.min(), times.max()  # a backward pass ends before it begins
     slack = 1e-6 + 1 / stored.record.rate_hz
-    late, early = float(first - begin), float(end - last)
-    if max(late, early) > slack:
-        clock = stored.record.t0_s
-        remedy = "give a later [record] start_s"
-        if early > late:
-            remedy = "give a shorter [study] duration_s"
-        if max(late, early) > end - begin:
-            remedy = "do their clocks differ?"
+    if max(first - begin, end - last) > slack:
+        clock, covers, needs = stored.record.t0_s, (first, last), (begin, end)
+        covered, needed = (
+            " to ".join(format_seconds(clock + time) for time in span) for span in (covers, needs)
+        )
         raise InputError(
-            f"{reference.source}: covers {format_seconds(clock + first)} to"
-            f" {format_seconds(clock + last)} s, but the study needs"
-            f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
-            f" clock of {stored.record.source} ({remedy})"
+            f"{reference.source}: covers {covered} s, but the study needs {needed} s by the clock"
+            f" of {stored.record.source} (change [record] start_s or [study] duration_s; or do"
+            " their clocks differ?)"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1
@@ -115,8 +111,7 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"
             f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
         )
-    # Half the import time of sinsjax, and needed only with a reference.
-    from scipy.spatial.transform import Rotation, Slerp
+    from scipy.spatial.transform import Rotation, Slerp  # half the import time of sinsjax
 
     pitch, roll, yaw = reference.attitude_deg.T
     attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)

@@ -59,8 +59,10 @@ def find_sampling(
     if step_s.min() <= 0:
         k = int((step_s <= 0).argmax())
         refuse(k, "time runs backward" if step_s[k] < 0 else "time repeats")
-    found_hz, uncertainty = _find_rate(time_s)
-    rate = resolve_rate(found_hz, layout, uncertainty, place)
+    clean_s = _clean_steps(time_s)  # whose mean averages out the rounding of the stamps
+    rate = resolve_rate(
+        _round_rate(float(1 / clean_s.mean()), time_s), layout, 1 / len(clean_s), place
+    )
     ahead = (time_s - time_s[0]) * rate - np.arange(len(time_s))
     window = max(2, round(min(_CATCH_UP_S * rate, len(time_s))))
     on_time = _min_of_following(ahead, window)
@@ -83,33 +85,23 @@ def find_sampling(
     return Sampling(rate, float(time_s[0]) - 1 / rate, number, remark)
 
 
-class _Rate(NamedTuple):
-    """A rate, Hz, and its relative uncertainty."""
-
-    rate_hz: float
-    uncertainty: float
-
-
-def _find_rate(time_s: FloatArray) -> _Rate:
-    """Return the rate of increasing stamps: a whole one, or one of four digits, if they may be.
-
-    The resolution of the stamps is 0.2 us for seconds since 1970.
-    """
+def _clean_steps(time_s: FloatArray) -> FloatArray:
+    """Return the steps of increasing stamps without gaps; of several steps if these alternate."""
     step_s = np.diff(time_s)
     count = max(1, min(_AVERAGED_STEPS, len(step_s) // 8))
     long_step_s = (time_s[count:] - time_s[:-count]) / count
     typical_s = float(np.quantile(long_step_s, 0.5, method="lower"))
-    # The mean averages out the rounding of the stamps; steps near the median exclude gaps.
     clean = step_s[(step_s >= 0.5 * typical_s) & (step_s <= 1.5 * typical_s)]
     if 2 * len(clean) < len(step_s):  # stamps alternate, or come in bursts
         clean = long_step_s[np.abs(long_step_s - typical_s) < 0.5 * typical_s]
-    rate_hz = float(1 / clean.mean())
+    return clean
+
+
+def _round_rate(rate_hz: float, time_s: FloatArray) -> float:
+    """Return a whole rate, or one of four digits, if the resolution of the stamps allows it."""
     tolerance_hz = rate_hz * 2 * float(np.spacing(np.abs(time_s).max())) / float(np.ptp(time_s))
-    for rounded in (float(round(rate_hz)), float(f"{rate_hz:.4g}")):
-        if abs(rounded - rate_hz) <= tolerance_hz:
-            rate_hz = rounded
-            break
-    return _Rate(rate_hz, 1 / len(clean))
+    rounded = (float(round(rate_hz)), float(f"{rate_hz:.4g}"))
+    return next((hz for hz in rounded if abs(hz - rate_hz) <= tolerance_hz), rate_hz)
 
 
 def _min_of_following(values: FloatArray, count: int) -> FloatArray:

@@ -1,7 +1,5 @@
 """Records in named columns of numbers, read and written by a `RecordLayout`."""
 
-import csv
-import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -176,8 +174,7 @@ def write_record(
         if layout.format == "parquet":
             pq.write_table(table, file)
             return
-        header = io.StringIO()
-        csv.writer(header, delimiter=delimiter, lineterminator="\n").writerow(table.column_names)
-        file.write(b"" if layout.columns else header.getvalue().encode())
+        if not layout.columns:
+            file.write(f"{delimiter.join(table.column_names)}\n".encode())
         options = pa.csv.WriteOptions(include_header=False, delimiter=delimiter)
         pa.csv.write_csv(table, file, options)

