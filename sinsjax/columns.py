@@ -84,13 +84,6 @@ IDENTITY = (
 )
 """Columns that identify the run of a row."""
 
-PREDICTED = column(
-    "predicted_settle_s",
-    "settling time that the law of resets predicts for a median run from this misalignment; null"
-    " where it says nothing",
-)
-"""Column of a study whose resets have a schedule by name."""
-
 OBSERVED = (
     *_misalignment_columns("phi", "misalignment of the corrected attitude", up=_NO_HEADING),
     *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment", up=_NO_HEADING),
@@ -148,12 +141,7 @@ PASSES = (
 
 
 def curve_columns(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
-    """Return the columns of the curves.
-
-    Args:
-        passes: whether to include those of repeated passes.
-        coarse: whether runs begin with coarse alignment.
-    """
+    """Return the columns of the curves, of runs with repeated passes or coarse alignment."""
     run_id, time_s, *observed = CURVES
     if coarse:
         time_s = time_s._replace(meaning="from the first sample of data")
@@ -169,10 +157,7 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The length of data recorded by the settling time of one band.
-
-    It differs from the settling time with repeated passes and with coarse alignment.
-    """
+    """The length of data recorded by the settling time of one band, which passes repeat."""
     settled = settle_column(band_arcmin, truth=truth).name
     meaning = f"length of data recorded by {settled}; null if never settled"
     return column(f"{settled.removesuffix('_s')}_data_s", meaning)

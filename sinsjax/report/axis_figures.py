@@ -1,6 +1,7 @@
 """Figures over a study's swept and drawn numbers: heat maps, and curves with intervals."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,17 +17,15 @@ from sinsjax.messages import format_count
 from sinsjax.plots.comparison import MAX_LINES, build_comparison_panels, has_significant_effect
 from sinsjax.plots.maps import MAX_PANELS
 from sinsjax.report.base import Block, Picture, describe_intervals
-from sinsjax.study.keys import is_condition_key, is_method_setting
+from sinsjax.report.verdict import SweepOutcome
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
-from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure, success_columns
+from sinsjax.study.success import SuccessMeasure, success_columns
 
 BINS_NOTE = "the median of each bin, of about as many draws."
 _MAX_BINS = 8
 _MIN_DRAWS_PER_BIN = 10  # the interval of fewer draws is too wide to be of use
 _DIGITS = 3  # significant ones of a bin's name
-_NOT_CONVERGED = "not converged"
-_FLAG = "flagged"
 
 
 def figure_axes(study: Study) -> tuple[dict[str, tuple[Any, ...]], list[str]]:
@@ -87,64 +86,55 @@ def _heat_maps(
 ) -> Iterator[Picture]:
     """Yield the maps by one criterion of success, without those that show nothing.
 
-    They are over the first two swept numbers, a panel for each point of all other keys. Cells are
-    hatched in which most of the runs that are ok are off their bias floor.
+    They are over the first two swept numbers, a panel for each point of all other keys; the option
+    that the verdict names by this criterion is framed.
     """
     settle, ok = criterion.settle_column, criterion.ok_column
-    times = [name for name in ("reset_times_s",) if "reset_count" in axes]
-    table = source.rows([*by, *axes, settle, ok, *FLOOR_COLUMNS, "draw_id", "start_s", *times])
+    table = source.rows([*by, *axes, settle, ok, "draw_id", "start_s"])
     # A run that ends without success settles never, as in the verdict.
     settle_s = pc.if_else(table[ok], table[settle], None)
     table = table.set_column(table.column_names.index(settle), settle, settle_s)
-    is_ok = analysis.numeric_column(table, ok) > 0
-    off_floor = criterion.outside_floor_band(lambda name: analysis.numeric_column(table, name))
-    table = table.append_column(_FLAG, pa.array(np.where(is_ok, off_floor, np.nan)))
     grid = Grid.from_table(table, by, *((axis,) for axis in axes))
-    rows = grid.rows[:MAX_PANELS]
     median_s = median_over_draws(np.nan_to_num(grid.column(settle), nan=np.inf)[:MAX_PANELS])
-    not_converged = 2 * off_floor[rows].sum(axis=-1) > is_ok[rows].sum(axis=-1)
-    if not (np.isfinite(median_s) & ~not_converged).any():
-        return  # no cell is within the band, or cells only pass through it
-    mark = (
-        f" Cross-hatched: most of the runs that are ok end more than {criterion.band_arcmin:g}'"
-        " from their bias floors, and their errors happen to be small."
-        if not_converged.any()
-        else ""
-    )
+    if not np.isfinite(median_s).any():
+        return
+    outcome = replace(SweepOutcome.from_source(source), criterion=criterion)
+    best = {
+        key: source.study.values(key)[outcome.best_variant]
+        for keys in outcome.choices.option_axes
+        for key in keys
+    }
+    name = outcome.choices.options[outcome.best]
+    title = f"Best: {name} ({outcome.format_settling(outcome.best, 's')})" if best else ""
+    mark = ""
     if len(grid.rows) > MAX_PANELS:
-        mark += f" The first {MAX_PANELS} of {len(grid.rows)} panels."
+        mark = f" The first {MAX_PANELS} of {len(grid.rows)} panels."
     captions = {
         "settling_time": f"Median time over {format_count(source.draws, 'draw')} until the heading"
         f" stays {criterion.description}; grey where at least half of the runs never do."
     }
-    if not np.isin(is_ok[rows].mean(axis=-1), (0.0, 1.0)).all():  # else the times show the same
+    shares = grid.column(ok)[:MAX_PANELS].mean(axis=-1)
+    if not np.isin(shares, (0.0, 1.0)).all():  # else the times show the same
         captions["success_rate"] = (
             f"Share of {format_count(source.draws, 'draw')} ok, {criterion.plural_description}."
         )
-    for name, caption in captions.items():
-        figure = plots.plot_map(
-            table,
-            axes[0],
-            axes[1],
-            settle if name == "settling_time" else ok,
-            by=by,
-            pooled=[key for key in by if is_condition_key(key)],
-            hatched=_FLAG,
-            hatch_name=_NOT_CONVERGED,
-        )
+    for figure_name, caption in captions.items():
+        column = settle if figure_name == "settling_time" else ok
+        figure = plots.plot_map(table, axes[0], axes[1], column, by=by, best=best, title=title)
         end = criterion.figure_suffix(source.success_measures[0])
-        yield Picture(f"{name}{end}", f"{caption}{mark}", figure)
+        yield Picture(f"{figure_name}{end}", f"{caption}{mark}", figure)
 
 
 def _curves_along_axis(
     source: Results, name: str, axis: str, line_keys: Sequence[str], note: str = ""
 ) -> Iterator[Picture]:
     """Yield the curves along a key; along a drawn one, which has a note, only if it acts."""
-    measures = source.success_measures
-    titles = {f"{y.settle_column}_median": f"median time (s) to {y.description}" for y in measures}
-    for y in measures:
-        titles[y.rate_column] = f"share of runs that are ok, {y.plural_description} (%)"
-    titles["phi_u_arcmin_rms"] = "heading error at the end, rms (arcmin)"
+    measure = source.success_measures[0]
+    titles = {
+        f"{measure.settle_column}_median": f"median time (s) to {measure.description}",
+        measure.rate_column: f"share of runs that are ok, {measure.plural_description} (%)",
+        "phi_u_arcmin_rms": "heading error at the end, rms (arcmin)",
+    }
     table = source.rows([*line_keys, axis, *success_columns(source.study), *REQUIRED_COLUMNS])
     values, panels = build_comparison_panels(table, axis, line_keys, titles)
     if note and not has_significant_effect(panels):
@@ -156,10 +146,7 @@ def _curves_along_axis(
     lines = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys))
     if lines > MAX_LINES:
         text += f" {lines - MAX_LINES} more lines are not drawn."
-    if left := "; ".join(words for words in titles.values() if words not in panels):
-        text += f" Left out, since it shows nothing more: {left}."
-    figure = plots.draw_along_axis(axis, values, panels, condition=not is_method_setting(axis))
-    yield Picture(name, text + note, figure)
+    yield Picture(name, text + note, plots.draw_along_axis(axis, values, panels))
 
 
 def bin_drawn_keys(source: Results) -> dict[str, tuple[Results, tuple[float, ...]]]:

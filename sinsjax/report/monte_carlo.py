@@ -40,6 +40,7 @@ from sinsjax.study.keys import is_condition_key
 from sinsjax.study.success import success_columns, success_measures
 
 _END = "phi_u_arcmin"
+_FAILED_ARCMIN = 180 * 60.0
 
 
 def build_report(
@@ -71,23 +72,33 @@ def build_report(
         verdict = attitude_verdict(source, outcome, warnings_shown=warnings_shown)
     else:
         verdict = sweep_verdict(source, outcome, warnings_shown=warnings_shown)
-    facts = [*verdict.facts, *_program_facts(source), *covariance_cautions(source)]
+    facts = [*verdict.facts, *covariance_cautions(source)]
+    first = next((place for place, fact in enumerate(facts) if not fact.is_caution), len(facts))
+    facts[first:first] = _program_facts(outcome) if outcome else ()
     return verdict._replace(facts=facts, blocks=blocks)
 
 
-def _program_facts(source: Results) -> Iterator[Fact]:
-    """Yield heading error and success of each program outside sinsjax."""
-    if not source.study.study.external:
-        return
-    criterion = source.success_measures[0]
-    table = source.rows(["method", *REQUIRED_COLUMNS, *success_columns(source.study)])
-    names = [f"{_END}_rms", criterion.rate_column]
-    for key, found in analysis.estimate_groups(table, ["method"], names).groups:
-        if key["method"] in source.study.study.external:
-            error, share = (found[name] for name in names)
-            text = f"{format_heading_error(error)}' rms from true north"
-            text += f", {format_percent(share)} % {criterion.description}"
-            yield Fact("Program", f"{key['method']}: {text}")
+def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the mean heading error of each program outside sinsjax, and that of the best method.
+
+    A run without a result counts 180 deg. The best is that of all draws.
+    """
+    choices, external = outcome.choices, outcome.source.study.study.external or ()
+    methods = np.array(outcome.source.study.values("method"))[choices.variants[:, 0]]
+    errors = [np.abs(outcome.flat(_END, option)) for option in range(len(methods))]
+    errors = [np.where(np.isnan(error), _FAILED_ARCMIN, error) for error in errors]
+    means = [np.inf if m in external else e.mean() for m, e in zip(methods, errors, strict=True)]
+    best = int(np.argmin(means))
+    for program in (option for option, mean in enumerate(means) if np.isinf(mean)):
+        own = analysis.mean(errors[program], outcome.clusters, limits=(0.0, _FAILED_ARCMIN))
+        text = f"{methods[program]}: mean heading error {format_heading_error(own)}'"
+        larger, smaller, word = errors[program], errors[best], "more"
+        if own.value < means[best]:
+            larger, smaller, word = smaller, larger, "less"
+        difference = analysis.mean_difference(larger, smaller, outcome.clusters)
+        text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
+        text += f" {choices.options[best]}, the best of sinsjax"
+        yield Fact("Program", text)
 
 
 def statistics_table(source: Results, keys: Sequence[str], title: str, *, note: str = "") -> Table:
@@ -269,9 +280,9 @@ def _curve_figures(source: Results) -> Iterator[Block]:
     if not np.isfinite(analysis.numeric_column(curves, "phi_e_arcmin")).any():
         yield Picture("attitude", f"{caption}{note}.", plots.plot_curves(curves, table, by=keys))
         return
+    caption = caption.replace("Mean", "Rms", 1)
     if np.isfinite(analysis.numeric_column(curves, "phi_u_arcmin")).any():
         figure = plots.plot_curves(curves, table, by=keys)
-        caption_heading = caption.replace("Mean", "Rms", 1)
-        yield Picture("misalignment", f"{caption_heading}{note}.", figure)
+        yield Picture("misalignment", f"{caption}{note}.", figure)
     figure = plots.plot_curves(curves, table, by=keys, level=True)
     yield Picture("misalignment_level", f"{caption}{note}.", figure)

@@ -17,8 +17,9 @@ from sinsjax.study.search_space import Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
+from sinsjax.tuning.law_point import LAW
 from sinsjax.tuning.results import SEARCH_LABELS, TuningResults, describe_objective
-from sinsjax.tuning.run_tuning import GRADIENT, LAW
+from sinsjax.tuning.search import GRADIENT
 
 DOUBLE_RESET_S = 1.0
 """Resets closer than this are printed as a double reset, s."""

@@ -8,8 +8,8 @@ from sinsjax.plots.labels import format_value
 from sinsjax.report.base import Picture
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.sweep import TIMES
+from sinsjax.tuning.law_point import LAW
 from sinsjax.tuning.results import SEARCH_LABELS, TuningResults, objective_label
-from sinsjax.tuning.run_tuning import LAW
 
 
 def landscape_pictures(tuning: TuningResults) -> list[Picture]:
@@ -55,7 +55,6 @@ def landscape_pictures(tuning: TuningResults) -> list[Picture]:
         ways,
         spots,
         f"Best: {words}",
-        grid_points=points if name == "grid" else None,
     )
     return [Picture("descent", f"{caption}.", figure)]
 

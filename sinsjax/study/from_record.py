@@ -38,7 +38,7 @@ _OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg", "record.gyro_bias_deg_p
 _WIDTH = 100
 _REASONS = {
     "start_s": "s, start of coarse alignment; may be a list",
-    "coarse_method": "survives sway; 'analytic' needs a base at rest",
+    "coarse_method": "survives sway",
     "coarse_duration_s": "s; its end is t = 0 of the alignment",
     "fit_accel_bias_ug": "largest usual bias",
     "inertial": "needs no data sheet; 'kalman_sincos' has a covariance",

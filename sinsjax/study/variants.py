@@ -19,18 +19,12 @@ class Variants:
     """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
-        study: the study.
         ids: (variants,) numbers of the variants in the study.
-        record_interval_s: time between two record times, s.
-        run_s: length of the shortest run, s.
-        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
-        site: `methods.method.Site` of these variants; for params only.
-        micro_g: the micro-g that the study counts in, m/s^2; for params only.
-        combinations: (keys) -> their distinct combinations over all variants as dictionaries; a
-            drawn key is None.
-        given_combinations: the same as the file gives them, before others decide their values.
-        given_in: (key) -> the table, in brackets, that gives a key; None if it is left out.
-        refuse: (key, text) raises the `InputError` of a key: ``[section] key: text``.
+        site, micro_g: `methods.method.Site`, and the micro-g that the study counts in, m/s^2; for
+            params only.
+        record_interval_s, run_s: time between two record times, length of the shortest run, s.
+
+    Its other attributes are those of the study.
     """
 
     def __init__(
@@ -42,15 +36,7 @@ class Variants:
         site: Any = None,
         micro_g: float = math.nan,
     ) -> None:
-        """Take some variants of a study.
-
-        Args:
-            study: checked study.
-            ids: (variants,) their numbers.
-            drawn: values of its draws by key.
-            site: `methods.method.Site` of the variants, for the params of a method.
-            micro_g: the micro-g that the study counts in, m/s^2, likewise.
-        """
+        """Take some variants by their ids; ``drawn`` has the values of the study's draws by key."""
         self.study, self._drawn = study, drawn or {}
         self.ids, self.count = ids, len(ids)
         self.site, self.micro_g = site, micro_g
@@ -77,13 +63,13 @@ class Variants:
         codes, choices = self.study.coded(key)
         return choices[codes[self.ids[variant]]]
 
-    def column(self, key: str, factor: float = 1.0) -> np.ndarray:
+    def column(self, key: str, factor: float = 1.0) -> Any:
         """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
         if key in self.study.drawn_keys:
             return np.zeros(self.count)
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
-    def si(self, key: str) -> np.ndarray:
+    def si(self, key: str) -> Any:
         """Return the values of a numeric key in SI units, (variants,); zeros for a drawn key."""
         return self.column(key, si_factor(key, self.micro_g))
 
@@ -94,11 +80,11 @@ class Variants:
             return np.full(self.count, law.rms)
         return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
 
-    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
+    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
         """Return a function of the values of some keys, called once per combination."""
         return self._map(function, keys).expand(dtype)
 
-    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
+    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
         """Return a function that gives lists, (variants, longest), padded with ``padding``."""
         column = self._map(function, keys)
         longest = max(map(len, column.choices))

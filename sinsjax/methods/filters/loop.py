@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, add, change_signs, select_tree
+from sinsjax.maths.algebra import Entries, add, change_signs, scale, select_tree
 from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
 from sinsjax.methods.filters.attitude import (
@@ -40,60 +40,36 @@ class InnovationSum(NamedTuple):
 
 
 class FilterResults(NamedTuple):
-    """Basis of a filter's own result columns; None for what it does not have.
-
-    Attributes:
-        extra: basis of the columns of this filter alone.
-    """
+    """Basis of the result columns of filters; None for what one does not have."""
 
     trigger_counts: triggers.TriggerCounts | None
     innovations: InnovationSum | None
-    extra: Any = None
 
 
 class FilterParams(NamedTuple):
-    """Numbers of a filter: variances of its states, SI squared, and its schedules.
+    """Numbers of a filter: variances of its states, SI squared, and its schedules."""
 
-    Attributes:
-        p0: variances at the start.
-        q: variances added each sample.
-        r: variance of each velocity measurement, (m/s)^2.
-        reset_to: variances that a full reset sets.
-        reversal: effect of a direction reversal on P.
-        trigger: `triggers.TriggerParams`; None without a trigger.
-        extra: numbers of this filter alone; None if it has none.
-    """
-
-    p0: tuple[Scalar, ...]
-    q: tuple[Scalar, ...]
-    r: Scalar
+    p0: tuple[Scalar, ...]  # variances at the start
+    q: tuple[Scalar, ...]  # variances added each sample
+    r: Scalar  # variance of each velocity measurement, (m/s)^2
     feedback: schedules.FeedbackSchedule
     resets: schedules.Resets
-    reset_to: tuple[Scalar, ...]
-    reversal: schedules.CovarianceReset
-    trigger: Any = None
-    extra: Any = None
+    reset_to: tuple[Scalar, ...]  # variances that a full reset sets
+    reversal: schedules.CovarianceReset  # effect of a direction reversal on P
+    trigger: Any = None  # `triggers.TriggerParams`; None without a trigger
+    extra: Any = None  # numbers of this filter alone; None if it has none
 
 
 class FilterState(NamedTuple):
-    """A filter between two samples.
-
-    Attributes:
-        belief: estimated errors of the solution ``nav`` and of the sensors, with covariance.
-        bias: sensor biases fed back so far, one per bias state, SI.
-        feedback_at: sample of the next feedback.
-        trigger_state: `triggers.TriggerState`; None without a trigger.
-        innovations: their sum so far; None if they are not summed.
-        extra: state of this filter alone; None if it has none.
-    """
+    """A filter between two samples."""
 
     nav: Navigation
-    belief: Belief
-    bias: tuple[Scalar, ...]
-    feedback_at: Scalar
-    trigger_state: Any = None
-    innovations: InnovationSum | None = None
-    extra: Any = None
+    belief: Belief  # estimated errors of the solution ``nav`` and of the sensors, with covariance
+    bias: tuple[Scalar, ...]  # sensor biases fed back so far, one per bias state, SI
+    feedback_at: Scalar  # sample of the next feedback
+    trigger_state: Any = None  # `triggers.TriggerState`; None without a trigger
+    innovations: InnovationSum | None = None  # their sum so far; None if they are not summed
+    extra: Any = None  # state of this filter alone; None if it has none
 
 
 # Stages that filters share
@@ -130,21 +106,20 @@ def feed_back(
     state: FilterState,
     share: Scalar,
     rotate: Callable[[Vec3, Quat], Quat] = rotations.correct,
-) -> tuple[FilterState, Vec3]:
-    """Return the state with a share of its estimate fed back, and the correction phi, rad.
+) -> FilterState:
+    """Return the state with a share of its estimate fed back, [P1] section 2.3.
 
-    [P1] section 2.3: V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part
-    fed back. States after those of the attitude are biases.
+    V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part fed back. States
+    after those of the attitude are biases.
     """
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
-    corrected = state._replace(
+    return state._replace(
         nav=nav._replace(q=rotate(phi, nav.q)),
         belief=subtract_fed_back(state.belief, fed_back),
         bias=tuple(b + x for b, x in zip(state.bias, fed_back[FIRST_BIAS:], strict=True)),
     )
-    return corrected, phi
 
 
 # The loop
@@ -162,7 +137,7 @@ class Filter(NamedTuple):
             solution is still that before it, and the process noise is added later. None for a
             prediction by ``transition``.
         feed_back: (state, share) -> state with that share of its estimate moved into the
-            navigation solution, and the correction of its attitude, rad.
+            navigation solution.
         init: (params, navigation) -> state.
         reverse: (sign of each estimate, state) -> state with which the record is read in the other
             direction.
@@ -171,16 +146,12 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
         correct: (state, sample) -> sample without the biases found; None if none are.
-        extra_results: (site, state) -> `FilterResults.extra`.
         shares_covariance: see `Program`.
-        keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution.
-        gyro_bias: see `Passes`.
     """
 
     transition: Callable[[Any, Place, Vec3], Entries]
     predict: Callable[[Any, Any, Place, Vec3], Any] | None = None
-    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]] = feed_back
+    feed_back: Callable[[Any, Scalar], Any] = feed_back
     init: Callable[[Any, Navigation], Any] = initial_state
     reverse: Callable[[Sequence[float], Any], Any] = reverse_time
     update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
@@ -188,10 +159,7 @@ class Filter(NamedTuple):
     attitude: Callable[[Any], Quat] = corrected_attitude
     covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
     correct: Callable[[Any, Sample], Sample] | None = None
-    extra_results: Callable[[Site, Any], Any] = lambda site, state: None
     shares_covariance: bool = False
-    keep: Callable[[Any, Any], Any] = lambda first, last: first
-    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) -> Program:
@@ -206,7 +174,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
-        passes=Passes(loop.reverse, loop.rewind, _begin_after, filter_.gyro_bias),
+        passes=Passes(loop.reverse, _begin_after),
     )
 
 
@@ -277,7 +245,7 @@ class _ClosedLoop(NamedTuple):
         # Before a reset, all of the estimate is fed back.
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
-        closed, fed_back = self.filter.feed_back(state, share)
+        closed = self.filter.feed_back(state, share)
         effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
@@ -285,6 +253,7 @@ class _ClosedLoop(NamedTuple):
             feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
         if self.trigger is not None:
+            fed_back = scale(share, self.filter.misalignment(state))
             closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
@@ -298,19 +267,9 @@ class _ClosedLoop(NamedTuple):
         state = state._replace(belief=state.belief._replace(p=p))
         return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
 
-    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
-        # All knowledge of the solution's errors is in the solution; P is that of a start.
-        first = self.filter.keep(self.filter.init(params, nav), state)
-        first = first._replace(
-            feedback_at=state.feedback_at,
-            innovations=state.innovations,
-            trigger_state=state.trigger_state,
-        )
-        return triggers.begin_pass(self.trigger, first, self.filter.misalignment(first))
-
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
-        return FilterResults(counts, state.innovations, self.filter.extra_results(site, state))
+        return FilterResults(counts, state.innovations)
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
