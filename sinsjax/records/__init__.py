@@ -20,7 +20,7 @@ from sinsjax.records.layout import (
 from sinsjax.records.psins import read_psins
 from sinsjax.records.reader import open_parquet, open_text
 from sinsjax.records.reference import Reference, read_reference
-from sinsjax.records.tabular import record_from_table, write_record
+from sinsjax.records.tabular import record_from_table
 
 __all__ = [
     "ACCEL_UNITS",
@@ -36,19 +36,19 @@ __all__ = [
     "read_reference",
     "record_from_arrays",
     "require_span",
-    "write_record",
 ]
 
 
 def read_record(path: str | Path, layout: RecordLayout) -> Record:
-    """Read a record in the layout's format: "psins", "csv" (delimited text) or "parquet".
+    r"""Read a record in the layout's format: "psins", "csv" (delimited text) or "parquet".
 
     Examples:
-        >>> from sinsjax.records import write_record
-        >>> layout = sinsjax.load_study("csv_log").record.layout(rate_hz=100.0)
-        >>> write_record(sinsjax.simulated_record("paper1_resets"), "drive.csv", layout)
-        >>> sinsjax.read_record("drive.csv", layout).dv.shape  # m/s per sample
-        (90000, 3)
+        >>> from pathlib import Path
+        >>> from sinsjax.records import RecordLayout
+        >>> _ = Path("log.csv").write_text("gx,gy,gz,ax,ay,az\n" + 200 * "0,0,0,0,0,0.098\n")
+        >>> columns = {"gyro_columns": ("gx", "gy", "gz"), "accel_columns": ("ax", "ay", "az")}
+        >>> sinsjax.read_record("log.csv", RecordLayout("csv", **columns, rate_hz=100.0)).dv.shape
+        (200, 3)
     """
     if layout.format == "psins":
         return read_psins(path, layout)

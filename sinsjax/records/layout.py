@@ -232,12 +232,6 @@ def to_body_axes(values: FloatArray, order: str) -> FloatArray:
     return values[:, index] * signs
 
 
-def from_body_axes(values: FloatArray, order: str) -> FloatArray:
-    """Transform (T, 3) vectors from right-front-up to the record's axes; exact."""
-    index, signs = parse_axes_order(order)
-    return (values * signs)[:, np.argsort(index)]
-
-
 def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, source: str) -> float:
     """Return the sample rate of the layout, or else that of the file, Hz.
 

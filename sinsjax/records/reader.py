@@ -1,8 +1,7 @@
 """Opening logs: named columns of numbers in delimited text, gzipped or not, or in Parquet.
 
-In text the first row of samples is the first one that consists of numbers. The row before it that
-has as many cells and no number names the columns, with a row of units between the two or not; else
-a comment does. The columns of a file without names are ``column_1``, ``column_2`` and so on. Rows
+In text the row with as many cells as the samples and no number names the columns, perhaps with a
+row of units after it; else a comment does, or they are ``column_1``, ``column_2`` and so on. Rows
 are counted from 1: in text as lines of the file, in Parquet as rows of the table.
 """
 

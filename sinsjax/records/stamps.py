@@ -46,9 +46,7 @@ def find_sampling(
     """
     place = f"{source}: column {layout.time_column!r}"
     if len(time_s) == 1:
-        if layout.rate_hz is None:
-            raise InputError(f"{source}: rate_hz: required with only one sample")
-        return Sampling(layout.rate_hz, float(time_s[0]) - 1 / layout.rate_hz, np.zeros(1, int))
+        raise InputError(f"{source}: has only one sample")
 
     def refuse(k: int, problem: str) -> NoReturn:
         hint = "drop this column and give rate_hz if the stamps are bad"

@@ -1,31 +1,22 @@
-"""Records in named columns of numbers, read and written by a `RecordLayout`."""
+"""Records from named columns of numbers, by a `RecordLayout`."""
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet as pq
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
-from sinsjax.platform.files import atomic_write
 from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
-    TIME_UNITS,
     Flaw,
     FloatArray,
     Record,
     RecordLayout,
-    check_layout,
     find_spans,
-    from_body_axes,
     is_rate,
     rate_factor,
-    resolve_rate,
     to_vehicle_axes,
     unit_factor,
 )
@@ -142,39 +133,3 @@ def _fill_gaps(
     for column in whole.T:
         column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
     return _Filled(whole, flaws, int(fill.sum()))
-
-
-def write_record(
-    record: Record, path: str | Path, layout: RecordLayout, *, delimiter: str = ","
-) -> None:
-    """Write a record in the layout's columns, units and axes, as delimited text or Parquet.
-
-    Increments in rad and m/s are read back bit for bit. The time column, if any, is the end of each
-    sample. The record's position, attitude and g are not written, and no names if the layout gives
-    them. The delimiter is that of text.
-    """
-    check_layout(layout, str(path))
-    place = f"{path}: cannot be written"
-    resolve_rate(record.rate_hz, layout, 0.0, f"{place}: the record")
-    if layout.time_unit == "iso" or layout.time_fraction_column or any(layout.mounting_deg):
-        raise InputError(f"{place}: dates, fractions of seconds and mounting_deg are only read")
-    if not (np.isfinite(record.dtheta).all() and np.isfinite(record.dv).all()):
-        raise InputError(f"{place}: an increment is not finite")
-    columns: dict[str, FloatArray] = {}
-    if layout.time_column:
-        time_s = record.t0_s + np.arange(1, len(record.dv) + 1) / record.rate_hz
-        columns[layout.time_column] = time_s / TIME_UNITS[layout.time_unit] / layout.time_scale
-    pairs = zip((record.dtheta, record.dv), layout.sensors, strict=True)
-    for increments, (names, unit, scale) in pairs:
-        values = from_body_axes(increments, layout.axes_order)
-        values = values * (record.rate_hz if is_rate(unit) else 1.0)
-        columns |= zip(names, (values / (unit_factor(unit) * np.array(scale))).T, strict=True)
-    table = pa.table({name: columns[name] for name in layout.columns or columns})
-    with atomic_write(path) as file:
-        if layout.format == "parquet":
-            pq.write_table(table, file)
-            return
-        if not layout.columns:
-            file.write(f"{delimiter.join(table.column_names)}\n".encode())
-        options = pa.csv.WriteOptions(include_header=False, delimiter=delimiter)
-        pa.csv.write_csv(table, file, options)

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import Command
-from support.psins_logs import write_psins
+from support.record_files import write_psins
 from support.stored_results import store_results
 from support.studies import small_study, small_tables, swing_deg
 from support.sweep_directories import read_files_and_times

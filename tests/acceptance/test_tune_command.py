@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from support.commands import Command
-from support.psins_logs import write_psins
+from support.record_files import write_psins
 from support.stored_results import report_text, write_part
 from support.studies import BASE, PAPER, small_study, swing_deg
 from support.sweep_directories import read_files_and_times

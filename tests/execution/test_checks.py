@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.record_files import write_record
 from support.stored_results import report_text
 from support.studies import small_study, with_paper_values
 
@@ -19,7 +20,7 @@ from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import prepare, run
 from sinsjax.execution.checks import study_warnings
 from sinsjax.execution.directory import read_manifest
-from sinsjax.records import Record, RecordLayout, Reference, motion, write_record
+from sinsjax.records import Record, RecordLayout, Reference, motion
 from sinsjax.records.checks import StationaryValues, check_stationary
 from sinsjax.records.layout import Finding
 from sinsjax.records.motion import integrate_attitudes

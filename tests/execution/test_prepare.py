@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from support.commands import Command, command_line
-from support.psins_logs import write_psins
+from support.record_files import write_psins
 from support.studies import PAPER, small_study
 
 import sinsjax

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
-from support.psins_logs import write_psins
+from support.record_files import write_psins
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study, read_files_and_times
 

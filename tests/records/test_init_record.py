@@ -14,14 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.commands import Command
-from support.psins_logs import write_psins
+from support.record_files import from_body_axes, write_psins
 from support.refusals import assert_named
 from support.studies import STILL, small_study
 from support.turning_logs import turned_record
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.records.layout import NAMED_AXES, from_body_axes
 from sinsjax.study.from_record import make_study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -63,8 +62,7 @@ def mems(body: Samples, bias_deg_per_h: Sequence[float] = (500.0, -800.0, 700.0)
 
 
 def in_axes(body: Samples, axes: str) -> Samples:
-    order = NAMED_AXES[axes]
-    return from_body_axes(body[0], order), from_body_axes(body[1], order)
+    return from_body_axes(body[0], axes), from_body_axes(body[1], axes)
 
 
 def write(path: Path, columns: Sequence[np.ndarray], names: Sequence[str] = NAMES) -> Path:

@@ -96,6 +96,8 @@ def test_pipe_is_refused_instead_of_waited_for(tmp_path):
     for call in (open_log, is_psins):
         with pytest.raises(InputError, match="a pipe"):
             call(tmp_path / "pipe")
+        with pytest.raises(InputError, match="cannot be read: No such"):
+            call(tmp_path / "absent")
 
 
 @pytest.mark.parametrize("order", ["-y-xz", "y-xz", "zxy", "frd"])
