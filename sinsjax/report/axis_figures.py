@@ -170,7 +170,7 @@ def bin_drawn_keys(source: Results) -> dict[str, tuple[Results, tuple[float, ...
         table = table.sort_by([(key, "ascending"), ("run_id", "ascending")])
         bins = tuple(map(float, np.unique(medians)))
         if len(bins) > 1:
-            found[key] = source.with_summary(table), bins
+            found[key] = Results(study, None, tables={"summary": table}), bins
     return found
 
 

@@ -57,6 +57,13 @@ def _choose_line_keys(source: Results) -> tuple[Sequence[str], str]:
     return (), " All runs together."
 
 
+def _largest_magnitude(source: Results, key: str) -> float:
+    """Return the largest magnitude of a key's numbers, fixed or drawn, to 3 digits."""
+    drawn = key in source.study.drawn_keys
+    values = source.rows([key])[key].to_pylist() if drawn else source.study.values(key)
+    return float(f"{max(float(np.max(np.abs(value or 0.0))) for value in values):.3g}")
+
+
 def _explain_unmodelled_biases(source: Results) -> list[str]:
     """Explain why filters without bias states have no NEES of 3 with constant sensor biases."""
     study = source.study
@@ -64,7 +71,7 @@ def _explain_unmodelled_biases(source: Results) -> list[str]:
     filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if study.is_recorded or any(map(estimates_biases, filters)):
         return []
-    gyro, accel = (source.largest_magnitude(key) for key in BIAS_KEYS)
+    gyro, accel = (_largest_magnitude(source, key) for key in BIAS_KEYS)
     if not gyro and not accel:
         return []
     names = ("floor_arcmin", "phi_u_arcmin", "sigma_u_arcmin")

@@ -56,7 +56,6 @@ def build_report(
     Raises:
         InputError: runs are missing.
     """
-    assert source.draws  # raises if draws are missing
     yaw = analysis.numeric_column(source.rows([_END]), _END)
     has_truth = bool(np.isfinite(yaw).any())
     finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)
@@ -261,8 +260,6 @@ def _all_tables(source: Results, outcome: SweepOutcome) -> Iterator[Block]:
 
 def _curve_figures(source: Results) -> Iterator[Block]:
     """Misalignment, or attitude, over time: the first few variants."""
-    if not source.has_curves:
-        return
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])

@@ -171,10 +171,19 @@ def test_dead_and_stuck_channels_are_reported():
     assert len(texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8)) == 1
     job = prepare_job(study(), record=make_record(TIME, gyro, accel))
     assert job.warnings[0].startswith("arrays: rows 1000 to 1099: ")
-    job = prepare_job(study(), record=make_record(gyro=change_rows(GYRO, slice(None), 0, 0.1)))
-    dead, hidden = job.warnings
-    assert "column 'gyro[:, 0]'" in dead and "hides Earth rate" in hidden
-    assert job.study.methods == ("level",)
+    dead = make_record(gyro=change_rows(GYRO, slice(None), 0, 0.1))
+    warnings = prepare_job(study(trust=True), record=dead).warnings
+    assert "column 'gyro[:, 0]'" in warnings[0] and "hides Earth rate" in warnings[1]
+
+
+def test_gyros_that_hide_north_are_refused_unless_trusted_or_not_needed():
+    """In deg/s these would nearly be Earth rate."""
+    biased = make_record(gyro=GYRO + np.radians(np.array([500, -800, 700]) / 3600))
+    line = refusal_line(prepare_job, study(), record=biased)
+    assert_named(line, "arrays: 0 to 20 s", "hides Earth rate", "method = 'level'", "trust = true")
+    level = study().replace({"alignment.method": "level"})
+    for some in (level, study(trust=True)):
+        assert "hides Earth rate" in prepare_job(some, record=biased).warnings[-1]
 
 
 def test_file_keys_are_refused_for_arrays():

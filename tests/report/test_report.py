@@ -213,7 +213,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     rule = {"statistic": "success_rate", "half_width": 0.9}
     study = small_study(study={"draws": 100}, stop_when=rule)
     summary = synthetic_summary(study).slice(0, 64)
-    source = Results.read(store_results(tmp_path, study, summary))
+    source = Results.read(store_results(tmp_path, study, summary, state="complete"))
     (why,) = (fact.text for fact in build_report(source).facts if fact.label == "Stopped")
     assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
 

@@ -14,11 +14,10 @@ from support.turning_logs import DEG, DEG_PER_H, TURNS, turned_record
 
 import sinsjax as package
 from sinsjax import InputError
-from sinsjax.execution.checks import study_warnings
-from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
+from sinsjax.study.turns import useless_methods
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -73,15 +72,12 @@ def test_turns_repeat_until_the_end_and_the_last_keeps_its_rate():
 )
 def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     study = small_study(motion=motion, alignment={"method": method, "phi_u0_deg": 0.0})
-    lines = [line for line in study_warnings(study) if line.startswith("[alignment] method")]
+    lines = list(useless_methods(study))
     assert len(lines) == warned
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 
 
-def test_turned_base_has_no_floor_and_no_hidden_north():
-    biased = {"gyro_bias_deg_per_h": [50.0, 0.0, 0.0]}
-    assert hidden_north(small_study(motion=STILL, sensors=biased)) is not None
-    assert hidden_north(small_study(motion=STILL | FAST, sensors=biased)) is None
+def test_turned_base_has_no_floor():
     with pytest.raises(InputError, match="no bias floor") as caught:
         package.run(small_study(study={"judged_from": "floor"}, motion=STILL | FAST))
     assert len(caught.value.lines) == 1
