@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 import tomli_w
 from support.commands import Command
+from support.record_files import write_psins
 from support.stored_results import report_text, write_part
 from support.studies import BASE, PAPER, small_study, swing_deg
 from support.sweep_directories import read_files_and_times
@@ -21,7 +22,6 @@ from sinsjax.execution.directory import lock_directory, read_manifest
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
-from sinsjax.records import write_psins
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
