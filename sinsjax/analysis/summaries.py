@@ -43,43 +43,40 @@ _FLAGS = {"ok_floor": "success_floor_rate", "ok_truth": "success_truth_rate"}
 REQUIRED_COLUMNS = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor", _YAW, _FLOOR)
 """Columns that `summarise` needs in addition to keys and the columns of its statistics."""
 
-_COUNT, _INTERVAL = ("",), ("", "_low", "_high")
-_MEAN = (*_INTERVAL, "_n")  # a mean omits non-finite values, so its number of values is given
-
 
 class _Statistic(NamedTuple):
     """A statistic: a function of some columns of the runs, perhaps of those with a floor only."""
 
     columns: tuple[str, ...]
-    estimate: Callable[..., Estimate]
-    suffixes: tuple[str, ...] = _INTERVAL
+    estimate: Callable[..., Estimate | int]
     needs_truth: bool = False
     needs_floor: bool = False
 
 
 class Estimates(NamedTuple):
-    """The long table of statistics, one `Estimate` per group and statistic.
+    """The long table of statistics, one `Estimate` or count per group and statistic.
 
     Attributes:
-        groups: key values and estimates by the name of the statistic, group by group; ``n``,
-            ``nonfinite``, ``no_floor`` and ``never_settled_B`` are counts without interval.
-        suffixes: suffixes of the columns of each statistic in a wide table.
+        groups: key values and statistics by name, group by group; ``n``, ``nonfinite``,
+            ``no_floor`` and ``never_settled_B`` are counts, None if unknown.
     """
 
-    groups: list[tuple[dict[str, Any], dict[str, Estimate]]]
-    suffixes: dict[str, tuple[str, ...]]
+    groups: list[tuple[dict[str, Any], dict[str, Any]]]
 
     def pivot(self, schema: pa.Schema) -> pa.Table:
         """One row per group: its keys with their types in a schema, counts whole, NaN as null."""
-        columns = {
-            name: pa.array([keys[name] for keys, _ in self.groups], schema.field(name).type)
-            for name in self.groups[0][0]
-        }
-        for name, suffixes in self.suffixes.items():
-            for place, suffix in enumerate(suffixes):
-                numbers = [found[name][place] for _, found in self.groups]
-                whole = suffix == "_n" or suffixes == _COUNT
-                dtype = pa.int64() if whole else pa.float64()
+        (first, statistics), columns = self.groups[0], {}
+        for name in first:
+            cells = [keys[name] for keys, _ in self.groups]
+            columns[name] = pa.array(cells, schema.field(name).type)
+        for name, example in statistics.items():
+            cells = [found[name] for _, found in self.groups]
+            if not isinstance(example, Estimate):
+                columns[name] = pa.array(cells, pa.int64())
+                continue
+            for place, suffix in enumerate(("", "_low", "_high", "_n")):
+                dtype = pa.int64() if suffix == "_n" else pa.float64()
+                numbers = [cell[place] for cell in cells]
                 columns[name + suffix] = pa.array(numbers, dtype, from_pandas=True)
         return pa.table(columns)
 
@@ -89,7 +86,7 @@ def summarise(table: Any, by: str | Sequence[str], names: Sequence[str] | None =
 
     Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
     and ``X_high`` for every statistic X with its 95 % interval (over the draws; none for runs on a
-    record, see `sinsjax.analysis.estimates`), and ``X_n``, the runs used, if X omits non-finite
+    record, see `sinsjax.analysis.estimates`), and ``X_n``, the runs used, as means omit non-finite
     values:
 
     * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
@@ -148,25 +145,22 @@ def estimate_groups(
     for column in used:
         require_column(table, column)
     groups = group_rows(table.select(used), by)
-    return Estimates(
-        [(key, _statistics(rows, statistics)) for key, rows in groups],
-        dict.fromkeys(("n", "nonfinite", "no_floor"), _COUNT)
-        | {name: statistic.suffixes for name, statistic in statistics.items()},
-    )
+    return Estimates([(key, _statistics(rows, statistics)) for key, rows in groups])
 
 
-def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Estimate]:
+def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
     """The statistics of a group."""
     truth, with_floor = has_truth(rows), rows
     if "has_floor" in rows.column_names:
         with_floor = rows.filter(pc.fill_null(rows["has_floor"], True))
-    found = {
-        "n": _count(rows.num_rows),
-        "nonfinite": _count(int(status_mask(rows, "nonfinite").sum())),
-        "no_floor": _count(rows.num_rows - with_floor.num_rows),
+    found: dict[str, Any] = {
+        "n": rows.num_rows,
+        "nonfinite": int(status_mask(rows, "nonfinite").sum()),
+        "no_floor": rows.num_rows - with_floor.num_rows,
     }
-    for name, (columns, estimate, _, needs_truth, needs_floor) in statistics.items():
-        used, found[name] = with_floor if needs_floor else rows, UNKNOWN
+    for name, (columns, estimate, needs_truth, needs_floor) in statistics.items():
+        used = with_floor if needs_floor else rows
+        found[name] = None if estimate is _count_missing else UNKNOWN
         if used.num_rows and (truth or not needs_truth):
             values = (column_values(used, column) for column in columns)
             found[name] = estimate(*values, cluster=cluster_ids(used))
@@ -184,42 +178,38 @@ def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
             (flag,), _SHARE, needs_truth=True, needs_floor=flag == "ok_floor"
         )
     for name in (name for name in columns if name.startswith("settle_")):
-        by_end: dict[str, tuple[Callable[..., Estimate], tuple[str, ...]]] = {
-            f"{name}_median": (quantile, _INTERVAL),
-            f"{name}_q90": (partial(quantile, q=0.9), _INTERVAL),
-            f"{name}_mean": (partial(mean, limits=(0.0, math.inf)), _MEAN),
+        by_end: dict[str, Callable[..., Estimate | int]] = {
+            f"{name}_median": quantile,
+            f"{name}_q90": partial(quantile, q=0.9),
+            f"{name}_mean": partial(mean, limits=(0.0, math.inf)),
         }
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            by_end = {count: (_count_missing, _COUNT)} | by_end
-        for end, (estimate, suffixes) in by_end.items():
-            found[end] = _Statistic((name,), estimate, suffixes, True, "_truth_" not in name)
+            by_end = {count: _count_missing} | by_end
+        for end, estimate in by_end.items():
+            found[end] = _Statistic((name,), estimate, True, "_truth_" not in name)
     for name in (x for x in columns if x == "phi_u_arcmin" or x.startswith("phi_u_at_")):
-        found[f"{name}_rms"] = _Statistic((name,), partial(rms, max_magnitude=_MOST), _MEAN)
+        found[f"{name}_rms"] = _Statistic((name,), partial(rms, max_magnitude=_MOST))
         found[f"{name}_abs_q90"] = _Statistic((name,), partial(_known_quantile, q=0.9, of=np.abs))
     quantiles = {"q10": 0.1, "median": 0.5, "q90": 0.9}
     return found | {
-        "phi_u_mean_arcmin_mean": _Statistic((_YAW,), mean, _MEAN),
+        "phi_u_mean_arcmin_mean": _Statistic((_YAW,), mean),
         **{
             f"phi_u_mean_arcmin_{name}": _Statistic(
                 (_YAW,), partial(_of_finite, partial(quantile, q=q))
             )
             for name, q in quantiles.items()
         },
-        "phi_u_from_floor_arcmin_mean": _Statistic((_YAW, _FLOOR), mean_difference, _MEAN),
-        "phi_u_std_arcmin_mean": _Statistic(("phi_u_std_arcmin",), mean, _MEAN),
+        "phi_u_from_floor_arcmin_mean": _Statistic((_YAW, _FLOOR), mean_difference),
+        "phi_u_std_arcmin_mean": _Statistic(("phi_u_std_arcmin",), mean),
         "nees_median": _Statistic(("nees",), _known_quantile),
-        "nees_mean": _Statistic(("nees",), mean, _MEAN),
-        "nis_u_mean": _Statistic(("nis_u",), mean, _MEAN),
+        "nees_mean": _Statistic(("nees",), mean),
+        "nis_u_mean": _Statistic(("nis_u",), mean),
     }
 
 
-def _count(number: int) -> Estimate:
-    return Estimate(number, math.nan, math.nan, number)
-
-
-def _count_missing(values: NDArray, cluster: NDArray | None) -> Estimate:
-    return _count(int(np.isnan(values).sum()))
+def _count_missing(values: NDArray, cluster: NDArray | None) -> int:
+    return int(np.isnan(values).sum())
 
 
 def _of_finite(
@@ -274,13 +264,13 @@ def compare_with_baseline(
     if base is None:
         raise InputError(f"summary: there are no runs of the baseline {key}")
     truth = has_truth(table)
-    compared = [
-        (group, {"n": _count(rows.num_rows)} | _differences(rows, base, truth=truth))
-        for group, rows in groups
-        if rows is not base
-    ]
-    names = compared[0][1] if compared else {}
-    return Estimates(compared, dict.fromkeys(names, _INTERVAL) | {"n": _COUNT})
+    return Estimates(
+        [
+            (group, {"n": rows.num_rows} | _differences(rows, base, truth=truth))
+            for group, rows in groups
+            if rows is not base
+        ]
+    )
 
 
 def _differences(rows: pa.Table, base: pa.Table, *, truth: bool) -> dict[str, Estimate]:

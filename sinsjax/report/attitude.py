@@ -1,6 +1,5 @@
 """The attitude that a run ends with: the first thing that a user of a record wants."""
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -16,9 +15,7 @@ from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point, format_value
-from sinsjax.records.motion import EARTH_RATE
 from sinsjax.report.base import MAX_ROWS, Fact, Table, caution
-from sinsjax.units import ARCMIN, DEG_PER_H, MICRO
 
 _HEADERS = {
     "heading_deg": ("heading (deg)", 3),
@@ -31,7 +28,6 @@ _HEADERS = {
 _DIGITS = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
 _DIGITS |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
 _LEVEL_SIGMAS, _LEVEL_ERRORS = (tuple(f"{x}_{a}_arcmin" for a in "en") for x in ("sigma", "phi"))
-_EXAMPLES = (0.01, 100.0)  # deg/h and ug, whose effect is stated if the biases are unknown
 
 
 def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
@@ -41,16 +37,12 @@ def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
         source: results on a record, of a study without truth, or of methods without heading.
         variant: the variant to show; None for the last one.
     """
-    study = source.study
-    methods = [METHODS[name] for name in study.methods]
     rows = source.rows(["variant_id", "start_s", *_HEADERS, *_LEVEL_SIGMAS]).to_pylist()
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
-    finds_heading = any(method.finds_heading for method in methods)
+    finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)
     yield _attitude_fact(source, row, finds_heading=finds_heading)
     if not finds_heading:
         yield from _level_facts(source)
-    elif any(method.has_floor for method in methods):
-        yield from _bias_floor_fact(source)
 
 
 def _attitude_fact(source: Results, row: Mapping[str, Any], *, finds_heading: bool) -> Fact:
@@ -87,30 +79,13 @@ def _level_facts(source: Results) -> Iterator[Fact]:
     yield Fact("Heading", f"none: {' and '.join(source.study.methods)} finds pitch and roll alone")
 
 
-def _bias_floor_fact(source: Results) -> Iterator[Fact]:
-    """The heading error that biases leave on a parked vehicle, if its latitude is known."""
-    latitude_deg, record = source.study.values("latitude_deg")[0], source.study.record
-    if latitude_deg is None:
-        latitude_deg = source.manifest.record_latitude_deg
-    if latitude_deg is None:
-        return
-    gyro, accel = _EXAMPLES
-    if record is not None:
-        gyro, accel = record.gyro_bias_deg_per_h or gyro, record.accel_bias_ug or accel
-    rate = EARTH_RATE * math.cos(math.radians(latitude_deg))
-    east = math.atan2(gyro * DEG_PER_H, rate) / ARCMIN
-    north = abs(accel * MICRO * math.tan(math.radians(latitude_deg))) / ARCMIN
-    text = f"{east:.1f}' per {gyro:g} deg/h of gyro bias, {north:.1f}' per {accel:g} ug, parked"
-    yield Fact("Floor", text)
-
-
 def attitude_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about the filter's own 1 sigma."""
     methods = [METHODS[name] for name in source.study.methods]
     filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if filters and not all(map(estimates_biases, filters)):
-        text = "1 sigma is the filter's own and excludes constant biases: add their floor in"
-        text += " quadrature, or use gravity_fit with fit_gyro_bias_deg_per_h"
+        text = "1 sigma is the filter's own and excludes constant biases: add their floor"
+        text += " (`sinsjax advise`), or use gravity_fit with fit_gyro_bias_deg_per_h"
         yield caution(text)
     if count := count_contradictions(source):
         yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")

@@ -17,8 +17,6 @@ from sinsjax.plots.labels import describe_point, describe_schedule, format_value
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
 
-_ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
-
 
 @dataclass(frozen=True)
 class Choices:
@@ -61,13 +59,6 @@ class Choices:
     @cached_property
     def _reset_times(self) -> list[tuple[float, ...]]:
         return self.study.reset_times()
-
-    @property
-    def option_noun(self) -> str:
-        """Kind of the options: schedule, method or option."""
-        if all({*keys} <= {*SCHEDULE_KEYS} for keys in self.option_axes):
-            return "schedule"
-        return "method" if self.option_axes == [("method",)] else "option"
 
     @property
     def without_resets(self) -> list[int]:
@@ -115,21 +106,13 @@ class Choices:
 
 def condition_header(keys: Sequence[str]) -> str:
     """The header of a column with the points of a condition."""
-    angles = [key for key in keys if key in _ANGLES]
-    names = [name_and_unit(key)[0] for key in keys if len(angles) < 2 or key not in angles]
-    if len(angles) > 1:
-        names.insert(0, f"errors {', '.join(_ANGLES[key] for key in angles)}")
-    return ", ".join(name.removeprefix("initial ") for name in names)
+    return ", ".join(name_and_unit(key)[0].removeprefix("initial ") for key in keys)
 
 
 def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
-    """A point of a condition: ``30 deg``, or ``(5, 5, 30) deg`` for starting errors together."""
-    values = dict(zip(keys, point, strict=True))
-    angles = [key for key in keys if key in _ANGLES]
+    """A point of a condition: ``30 deg``."""
     cells = []
-    if len(angles) > 1:
-        cells.append(f"({', '.join(f'{values.pop(key):g}' for key in angles)}) deg")
-    for key, value in values.items():
+    for key, value in zip(keys, point, strict=True):
         text, unit = format_value(value), name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)

@@ -116,9 +116,9 @@ class _Column(NamedTuple):
     format: Callable[[Estimate], str]
     needs_floor: bool = False
 
-    def cell(self, found: Mapping[str, Estimate]) -> str:
+    def cell(self, found: Mapping[str, Any]) -> str:
         """The statistic of a group of runs as text."""
-        if self.needs_floor and found["no_floor"].value == found["n"].value:
+        if self.needs_floor and found["no_floor"] == found["n"]:
             return "no bias floor"
         return self.format(found[self.name])
 
@@ -151,7 +151,7 @@ def statistics_table(source: Results, keys: Sequence[str]) -> Table:
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
     groups = analysis.estimate_groups(table, keys, [column.name for column in columns]).groups
     rows = [
-        [*map(format_value, key.values()), f"{found['n'].value}", *(c.cell(found) for c in columns)]
+        [*map(format_value, key.values()), f"{found['n']}", *(c.cell(found) for c in columns)]
         for key, found in groups
     ]
     start, end = source.study.study.window_s
@@ -175,7 +175,7 @@ def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
     rows = [
         [
             *map(format_value, key.values()),
-            f"{found['n'].value}",
+            f"{found['n']}",
             time,
             format_heading_error(found[f"{column}_rms"]),
             format_heading_error(found[f"{column}_abs_q90"]),

@@ -7,7 +7,6 @@ from rich import box
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table as RichTable
-from rich.text import Text
 
 from sinsjax import console as screen
 from sinsjax.report.base import Report, Table
@@ -15,9 +14,7 @@ from sinsjax.report.base import Report, Table
 PIPE_WIDTH = 120
 """Columns of a table in a pipe, unless ``COLUMNS`` is set."""
 
-_MAX_FACTS = 6  # that are no doubts
 _MAX_ROWS = 8  # of the table of a verdict
-_RED = ("never", "failed")
 
 
 def print_verdict(
@@ -29,20 +26,14 @@ def print_verdict(
         report: the report.
         console: the console.
         footer: last lines: where the figures are, and the command for all tables.
-        full: whether to print every fact and row; otherwise the first six facts, all doubts, and
-            eight rows evenly over the conditions.
+        full: whether to print every row; otherwise eight, evenly over the conditions.
     """
     console.print(screen.literal_text(report.title, "bold"))
-    answers = [fact for fact in report.facts if not fact.is_caution]
-    first = answers if full else answers[:_MAX_FACTS]
-    facts = [fact for fact in report.facts if fact.is_caution or fact in first]
     grid = RichTable.grid(padding=(0, 2, 0, 0))
-    for number, fact in enumerate(facts):
+    for number, fact in enumerate(report.facts):
         style = "yellow" if fact.is_caution else "bold" if number == 0 else ""
-        text = _highlight(screen.literal_text(fact.text, "bold" if number == 0 else ""))
+        text = screen.literal_text(fact.text, "bold" if number == 0 else "")
         grid.add_row(screen.literal_text(fact.label, style), text)
-    if left := len(report.facts) - len(facts):
-        grid.add_row(Text("Also", "yellow"), Text(f"{left} more, see --full"))
     console.print(Padding(grid, (0, 0, 0, 2)))
     if table := report.table:
         console.print()
@@ -75,10 +66,5 @@ def _layout_table(
         heading = screen.literal_text(name, "dim" if frame is None else "")
         table.add_column(heading, overflow="fold")
     for row in rows:
-        table.add_row(*(_highlight(screen.literal_text(cell)) for cell in row))
+        table.add_row(*map(screen.literal_text, row))
     return table
-
-
-def _highlight(text: Text) -> Text:
-    text.highlight_words(_RED, "red")
-    return text

@@ -367,7 +367,7 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
     header = ["settled (%)", "settles after, mean (s)", "error, rms (arcmin)"]
     if len(choices.options) > 1:
         rival = "no reset (s)" if choices.without_resets else "best overall (s)"
-        header = [f"best {choices.option_noun}", "settles after, mean (s)", rival]
+        header = ["best option", "settles after, mean (s)", rival]
     rows = []
     for point, conditions in choices.conditions_by_point(axis).items():
         here = outcome.select_conditions(conditions)

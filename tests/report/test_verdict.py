@@ -86,7 +86,7 @@ def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
     assert table is not None
     assert table.header == [
         "heading error",
-        "best schedule",
+        "best option",
         "settles after, mean (s)",
         "no reset (s)",
     ]
