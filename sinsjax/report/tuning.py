@@ -1,6 +1,6 @@
 """The report of a tuning: its candidates, evaluated on unused draws, and its searches."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -118,46 +118,33 @@ def _summary_table(tuning: TuningResults) -> Table:
 def _candidate_table(tuning: TuningResults) -> Table:
     """The candidates by their objective, cost and values."""
     rival, searches = tuning.rival, tuning.searches
-
-    def compare_cost(name: str) -> str:
-        if name not in searches or rival not in searches:
-            return "-"
-        percent = 100 * searches[name].cost / searches[rival].cost
-        return f"{percent:,.{0 if percent >= 100 else 1}f} %"
-
-    def tuning_score(name: str) -> Estimate:
-        return UNKNOWN._replace(value=searches[name].best.objective)
-
-    columns: dict[str, Callable[[str], str]] = {
-        "candidate": str,
-        describe_objective(tuning.search_study)[0]: lambda name: _format(
-            tuning, tuning.score_of(name)
-        ),
-        "on the tuning draws": lambda name: (
-            _format(tuning, tuning_score(name)) if name in searches else "-"
-        ),
-        "settled (%)": lambda name: (
-            format_percent(found) if (found := tuning.settled_share(name)) else "-"
-        ),
-        f"less that of '{rival}'": lambda name: (
-            "-" if name == rival else _format(tuning, tuning.difference(name))
-        ),
-        "cost (10^6 steps)": lambda name: (
-            f"{searches[name].cost / 1e6:,.4g}" if name in searches else "-"
-        ),
-        f"of that of '{rival}'": compare_cost,
-    }
-    if tuning.unsettled is None:
-        del columns["settled (%)"]
     keys = [key for key in tuning.evaluation.study.cases[0] if key != "case"]
-    rows = [
-        [text(name) for text in columns.values()]
-        + [format_value(tuning.case(name)[key]) for key in keys]
-        for name in tuning.case_numbers
+    settled = [] if tuning.unsettled is None else ["settled (%)"]
+    header = [
+        *("candidate", describe_objective(tuning.search_study)[0], "on the tuning draws", *settled),
+        *(f"less that of '{rival}'", "cost (10^6 steps)", f"of that of '{rival}'", *keys),
     ]
+    rows = []
+    for name in tuning.case_numbers:
+        tuned, cost, percent = "-", "-", "-"
+        if name in searches:
+            best = UNKNOWN._replace(value=searches[name].best.objective)
+            tuned, cost = _format(tuning, best), f"{searches[name].cost / 1e6:,.4g}"
+        if name in searches and rival in searches:
+            share = 100 * searches[name].cost / searches[rival].cost
+            percent = f"{share:,.{0 if share >= 100 else 1}f} %"
+        found = tuning.settled_share(name)
+        rows.append(
+            [
+                *(name, _format(tuning, tuning.score_of(name)), tuned),
+                *([format_percent(found)] if found else []),
+                "-" if name == rival else _format(tuning, tuning.difference(name)),
+                *(cost, percent, *(format_value(tuning.case(name)[key]) for key in keys)),
+            ]
+        )
     note = "Of draws that tuned nothing, the same for all [95 % interval by the bootstrap over"
     note += " them]. Cost: simulated steps of the search, with those of its derivatives."
-    return Table("Candidates on the unused draws", [*columns, *keys], rows, note)
+    return Table("Candidates on the unused draws", header, rows, note)
 
 
 def _format(tuning: TuningResults, estimate: Estimate) -> str:

@@ -254,10 +254,9 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     few = " (few)" if outcome.n_draws < MIN_DRAWS_FOR_INTERVALS else ""
     yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
     if (rule := source.study.stop_when) and source.whole_draws is None:
-        text = f"all draws are used before every half-width of {rule.statistic} is"
-        if outcome.n_draws < source.study.n_draws:
-            text = f"after {outcome.n_draws:,} draws: every half-width of {rule.statistic} is"
-        yield Fact("Stopped", f"{text} at most {rule.half_width:g}")
+        text = f"every half-width of {rule.statistic} is at most {rule.half_width:g}"
+        stopped = outcome.n_draws < source.study.n_draws
+        yield Fact("Stopped", text if stopped else "after the last draw, not by [stop_when]")
 
 
 def _settling_sentence(outcome: SweepOutcome) -> str:

@@ -257,7 +257,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     study = small_study(study={"draws": 100}, stop_when=rule)
     source = Results.read(store_results(tmp_path, study, synthetic_summary(study).slice(0, 64)))
     why = facts_of(build_verdict(source))["Stopped"]
-    assert why == "after 64 draws: every half-width of success_rate is at most 0.9"
+    assert why == "every half-width of success_rate is at most 0.9"
 
 
 def test_unfinished_report_warns_with_share_of_runs(tmp_path):
