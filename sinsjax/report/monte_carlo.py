@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.analysis import format_estimate
 from sinsjax.analysis.formats import format_heading_error, format_percent, format_time_difference
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
@@ -35,6 +35,7 @@ from sinsjax.study.keys import is_condition_key
 from sinsjax.study.success import success_columns, success_measures
 
 _END = "phi_u_arcmin"
+_SECONDS = partial(format_estimate, digits=0)
 
 
 def build_report(
@@ -113,7 +114,7 @@ class _Column(NamedTuple):
 
     header: str
     name: str
-    format: Callable[[Estimate], str]
+    format: Callable[[Any], str]
     needs_floor: bool = False
 
     def cell(self, found: Mapping[str, Any]) -> str:
@@ -121,6 +122,21 @@ class _Column(NamedTuple):
         if self.needs_floor and found["no_floor"] == found["n"]:
             return "no bias floor"
         return self.format(found[self.name])
+
+
+def _lay_out(
+    title: str,
+    keys: Sequence[str],
+    groups: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]],
+    columns: Sequence[_Column],
+    note: str,
+) -> Table:
+    """A table of statistics, one row per group of runs."""
+    rows = [
+        [*map(format_value, key.values()), *(column.cell(found) for column in columns)]
+        for key, found in groups
+    ]
+    return Table(title, [*keys, *(column.header for column in columns)], rows, note).shortened()
 
 
 def _describe_keys(source: Results, keys: Sequence[str]) -> str:
@@ -132,36 +148,23 @@ def statistics_table(source: Results, keys: Sequence[str]) -> Table:
 
     There are columns for each criterion of success; a method may have no bias floor.
     """
-    measures = source.success_measures
-    missing = [one for one in success_measures(source.study) if one not in measures]
-    aim = "the reference" if source.study.is_recorded else "its bias floor"
-    seconds, drift = partial(format_estimate, digits=0), "phi_u_from_floor_arcmin_mean"
-    columns = [
-        *(
-            _Column(f"ok: {y.description} (%)", y.rate_column, format_percent, not y.truth)
-            for y in (*measures, *missing)
-        ),
-        *(
-            _Column(f"time to {y.description}, median (s)", name, seconds, not y.truth)
-            for y, name in zip(measures, _median_columns(source), strict=True)
-        ),
-        _Column("heading error at the end, rms (arcmin)", f"{_END}_rms", format_heading_error),
-        _Column(f"signed mean from {aim} (arcmin)", drift, format_estimate, needs_floor=True),
-    ]
+    measures, columns = source.success_measures, []
+    for y in (*measures, *(y for y in success_measures(source.study) if y not in measures)):
+        header = f"ok: {y.description} (%)"
+        columns.append(_Column(header, y.rate_column, format_percent, not y.truth))
+    for y in measures:
+        header, name = f"time to {y.description}, median (s)", f"{y.settle_column}_median"
+        columns.append(_Column(header, name, _SECONDS, not y.truth))
+    header = f"signed mean from {'the reference' if source.study.is_recorded else 'its bias floor'}"
+    drift = _Column(f"{header} (arcmin)", "phi_u_from_floor_arcmin_mean", format_estimate, True)
+    header = "heading error at the end, rms (arcmin)"
+    columns += [_Column(header, f"{_END}_rms", format_heading_error), drift]
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
     groups = analysis.estimate_groups(table, keys, [column.name for column in columns]).groups
-    rows = [
-        [*map(format_value, key.values()), f"{found['n']}", *(c.cell(found) for c in columns)]
-        for key, found in groups
-    ]
     start, end = source.study.study.window_s
     note = f"{describe_intervals(source)} Signed mean: over {start:g} to {end:g} s."
-    header = [*keys, "runs", *(column.header for column in columns)]
-    return Table(f"Every variant{_describe_keys(source, keys)}", header, rows, note).shortened()
-
-
-def _median_columns(source: Results) -> list[str]:
-    return [f"{measure.settle_column}_median" for measure in source.success_measures]
+    title = f"Every variant{_describe_keys(source, keys)}"
+    return _lay_out(title, keys, groups, [_Column("runs", "n", str), *columns], note)
 
 
 def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
@@ -204,37 +207,23 @@ def comparison_table(source: Results) -> Table:
     if not options or any(first_of(rows) != first_of(table) for rows in parts):
         parts, options = [table], list(keys)
     columns = [
-        *(
-            _Column(
-                f"ok: {y.description} (% points)", f"{y.rate_column}_difference", format_percent
-            )
-            for y in measures
-        ),
-        *(
-            _Column(
-                f"time to {y.description}, median (s)", f"{name}_difference", format_time_difference
-            )
-            for y, name in zip(measures, _median_columns(source), strict=True)
-        ),
-        _Column(
-            "distance from its bias floor (arcmin)",
-            "phi_u_error_arcmin_difference",
-            format_estimate,
-        ),
+        _Column(f"ok: {y.description} (% points)", f"{y.rate_column}_difference", format_percent)
+        for y in measures
     ]
+    for y in measures:
+        header, name = f"time to {y.description}, median (s)", f"{y.settle_column}_median"
+        columns.append(_Column(header, f"{name}_difference", format_time_difference))
+    header = "distance from its bias floor (arcmin)"
+    columns.append(_Column(header, "phi_u_error_arcmin_difference", format_estimate))
     groups = [
         group
         for part in parts
         for group in analysis.compare_with_baseline(part, keys, _first_point(part, keys)).groups
     ]
-    rows = [
-        [*map(format_value, key.values()), *(column.cell(found) for column in columns)]
-        for key, found in groups
-    ]
     note = describe_intervals(source, "Difference", "pairs of runs of a draw")
     note += " Distance: that of the window mean of phi_u."
     title = f"Against {describe_point(_first_point(table, options))}, on the same noise"
-    return Table(title, [*keys, *(column.header for column in columns)], rows, note).shortened()
+    return _lay_out(title, keys, groups, columns, note)
 
 
 def _first_point(rows: Any, keys: Sequence[str]) -> dict[str, Any]:
