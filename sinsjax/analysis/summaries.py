@@ -84,24 +84,20 @@ class Estimates(NamedTuple):
 def summarise(table: Any, by: str | Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
     """Compute the statistics of each group of runs, one row per group.
 
-    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
-    and ``X_high`` for every statistic X with its 95 % interval (over the draws; none for runs on a
-    record, see `sinsjax.analysis.estimates`), and ``X_n``, the runs used, as means omit non-finite
-    values:
+    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then for every statistic
+    X also ``X_low`` and ``X_high``, its 95 % interval over the draws (none on a record), and
+    ``X_n``, the runs used, as means omit non-finite values:
 
-    * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
-      ``success_truth_rate``, ``success_floor_rate``: that end within the band about the truth, and
-      about the bias floor;
-    * for each band B ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
-      ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
-      interval; about the truth the same of ``settle_B_truth_s``; all but the count also of
-      ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a stored record;
-    * the heading error from the truth, arcmin, at the end and at report times: ``phi_u_arcmin_rms``
-      (180 deg at most), ``phi_u_arcmin_abs_q90``, which 90 % of the runs do not exceed (a run
-      without a number counts as infinite), and the same of ``phi_u_at_T_arcmin``;
-    * the signed window means, arcmin: ``phi_u_mean_arcmin_mean``, ``..._q10``, ``..._median`` and
-      ``..._q90`` of the finite values; ``phi_u_from_floor_arcmin_mean``: window mean minus floor;
-      ``phi_u_std_arcmin_mean``: the standard deviation inside a run's window;
+    * ``success_rate`` (status ``ok``), ``diverged_rate``, ``success_truth_rate`` and
+      ``success_floor_rate`` (about the truth, about the bias floor): shares of runs;
+    * for each band B ``settle_B_s_median``, ``settle_B_s_q90`` (infinite: never),
+      ``settle_B_s_mean`` of the runs that settled and the count ``never_settled_B``, and the same
+      of ``settle_B_truth_s`` and, in time of stored data, ``settle_B_data_s``;
+    * the heading error from the truth, arcmin: ``phi_u_arcmin_rms`` (180 deg at most),
+      ``phi_u_arcmin_abs_q90`` (a run without a number counts as infinite), at report times
+      ``phi_u_at_T_arcmin_rms`` and ``phi_u_at_T_arcmin_abs_q90``;
+    * signed window means, arcmin: ``phi_u_mean_arcmin_mean``, ``..._q10``, ``..._median``,
+      ``..._q90``, ``phi_u_from_floor_arcmin_mean``; ``phi_u_std_arcmin_mean`` within the window;
     * ``nees_median``, ``nees_mean`` and ``nis_u_mean``.
 
     Statistics about the bias floor use only runs that have one. Null is unknown, as all but ``n``
