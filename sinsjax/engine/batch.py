@@ -231,17 +231,14 @@ class Layout:
     def chunk_of(self, draw: int, variant: int) -> int:
         """Return the number of the chunk that has a run."""
         row, place = divmod(draw * self.width + variant, self._stride)
-        block = row // self._sets * self._across + place // self.lanes
-        return block // self._size
+        return (row // self._sets * self._across + place // self.lanes) // self._size
 
     def tiles_of(self, batch: Batch, number: int) -> Tiles:
         """Return the arguments of a chunk; idle lanes repeat the last draw or variant."""
         places = self[number]
         first = places.draw[..., :1]
-        draw = np.minimum(
-            first + np.arange(_draws_of_tile(self.width, self.lanes)), self._draws - 1
-        )
-        draw = draw if self._sets > 1 else draw[:, 0]
+        draw = first + np.arange(_draws_of_tile(self.width, self.lanes))
+        draw = np.minimum(draw if self._sets > 1 else draw[:, 0], self._draws - 1)
         variant = np.minimum(places.variant[:, 0], self._variants - 1)
         return Tiles(
             draws=jax.tree.map(

@@ -515,7 +515,7 @@ def broadcast_to_runs(row: Array, tree: Any) -> Any:
 def map_tiles(spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles, blocks: Count) -> Any:
     """Return a function's results for the first ``blocks`` of tiles, or sets of stacked tiles.
 
-    The others' are zero. As their number is an argument, the compiler makes the same loop of any.
+    The others' are zero. The loop has a fixed length: another costs the compass 10 % of its speed.
     """
     if spec.shares_covariance:  # only what belongs to draws differs between the sets
         draws = jax.tree.map(lambda a: 0 if a.ndim > 2 else None, tiles.draws)
@@ -527,6 +527,9 @@ def map_tiles(spec: ProgramSpec, run: Callable[[Tiles], Any], tiles: Tiles, bloc
         found = run(jax.tree.map(lambda a: a[place], tiles))
         return jax.tree.map(lambda all_, one: all_.at[place].set(one), results, found)
 
+    def add_used(place: Count, results: Any) -> Any:
+        return jax.lax.cond(place < blocks, add, lambda _, kept: kept, place, results)
+
     one = jax.eval_shape(run, jax.tree.map(lambda a: a[0], tiles))
     blank = jax.tree.map(lambda a: jnp.zeros((len(tiles.row), *a.shape), a.dtype), one)
-    return jax.lax.fori_loop(0, blocks, add, blank)
+    return jax.lax.fori_loop(0, len(tiles.row), add_used, blank)
