@@ -28,6 +28,7 @@ from sinsjax.report.verdict import (
     caution_facts,
     condition_table,
     fit_cautions,
+    program_facts,
     study_title,
     warning_facts,
 )
@@ -82,7 +83,13 @@ def build_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
     band, doubts = warning_facts(source, warnings_shown=warnings_shown)
     doubts += fit_cautions(source)
     if outcome and finds_heading and not study.is_recorded:
-        facts = [*band, *answer_facts(outcome), *doubts, *caution_facts(outcome)]
+        facts = [
+            *band,
+            *program_facts(outcome),
+            *answer_facts(outcome),
+            *doubts,
+            *caution_facts(outcome),
+        ]
         return Report(study_title(source), facts, condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []

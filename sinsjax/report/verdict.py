@@ -27,6 +27,7 @@ from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
+_FAILED_ARCMIN = 180 * 60.0  # of a program's run without a result
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
 _MOST_LIKE = 3  # options that are listed as not told apart from the best
 _MIN_DRAWS_TO_SPLIT = 8  # fewest draws of which each half is judged by the choice of the other
@@ -302,6 +303,26 @@ def _accuracy_fact(outcome: SweepOutcome) -> Fact:
     if lowest >= _LIMITING * found.value:
         return Fact("Accuracy", f"{text}, mostly bias floor ({lowest:.1f}')")
     return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
+
+
+def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the mean heading error of each program outside sinsjax, and that of the best method.
+
+    A run without a result counts 180 deg. The best is that of all draws.
+    """
+    choices, external = outcome.choices, outcome.source.study.study.external or ()
+    methods = np.array(outcome.source.study.values("method"))[choices.variants[:, 0]]
+    errors = [np.abs(outcome.flat("phi_u_arcmin", option)) for option in range(len(methods))]
+    errors = [np.where(np.isnan(error), _FAILED_ARCMIN, error) for error in errors]
+    means = [np.inf if m in external else e.mean() for m, e in zip(methods, errors, strict=True)]
+    best = int(np.argmin(means))
+    for program in (option for option, mean in enumerate(means) if np.isinf(mean)):
+        own = analysis.mean(errors[program], outcome.clusters, limits=(0.0, _FAILED_ARCMIN))
+        text = f"{methods[program]}: mean heading error {format_heading_error(own)}'"
+        more = analysis.mean_difference(errors[program], errors[best], outcome.clusters)
+        text += f", on the same draws {format_heading_error(more)}' more than that of"
+        text += f" {choices.options[best]}, the best here"
+        yield Fact("Program", text)
 
 
 def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
