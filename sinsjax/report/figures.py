@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow.compute as pc
 
 from sinsjax import analysis, plots
-from sinsjax.analysis.grids import Grid
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
@@ -93,22 +92,20 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     """Yield the maps by a criterion of success, titled by its best option."""
     source, criterion = outcome.source, outcome.criterion
     settle, ok = criterion.settle_column, criterion.ok_column
-    if (np.isfinite(outcome.time_s).mean(axis=-1) < 0.5).all():
+    shares = np.isfinite(outcome.time_s).mean(axis=-1)
+    if (shares < 0.5).all():
         return  # every cell would be grey
     table = source.rows([*by, *axes, settle, ok, "draw_id", "start_s"])
     # A run that ends without success settles never, as in the verdict.
     settle_s = pc.if_else(table[ok], table[settle], None)
     table = table.set_column(table.column_names.index(settle), settle, settle_s)
-    grid = Grid.from_table(table, by, *((axis,) for axis in axes))
     draws, options = format_count(source.draws, "draw"), outcome.choices.options
-    end = "."
-    if len(grid.rows) > MAX_PANELS:
-        end = f". The first {MAX_PANELS} of {len(grid.rows)} panels."
+    panels = sum(1 for _ in analysis.group_rows(table.select(by), by))
+    end = f". The first {MAX_PANELS} of {panels} panels." if panels > MAX_PANELS else "."
     captions = {
         settle: f"Median time over {draws} until the heading stays {criterion.description}; grey"
         f" where at least half of the runs never do{end}"
     }
-    shares = grid.column(ok)[:MAX_PANELS].mean(axis=-1)
     if not np.isin(shares, (0.0, 1.0)).all():  # else the times show the same
         captions[ok] = f"Share of {draws} ok, {criterion.plural_description}{end}"
     title = ""

@@ -33,21 +33,9 @@ _MOST_LIKE = 3  # options that are listed as not told apart from the best
 _MIN_DRAWS_TO_SPLIT = 8  # fewest draws of which each half is judged by the choice of the other
 _RARE = 0.1  # of the runs: so many may be at the edge of both bands, or have a doubtful fit
 _FIT_DOUBTS = {
-    "fit_misfit": (
-        3.0,
-        "the fit's residuals are {:.1f} times their sigma: do units, signs and [gravity_fit]"
-        " describe these sensors?",
-    ),
-    "fit_prior_ratio": (
-        3.0,
-        "the fit finds a sensor error or lever arm of {:.1f} times its 1 sigma: is a sign wrong, or"
-        " a number of [gravity_fit] too small?",
-    ),
-    "fit_change": (
-        1.0,
-        "the fit has not converged, its last pass changed it by {:.1f} sigma: the biases are too"
-        " large, or the data too short",
-    ),
+    "fit_misfit": (3.0, "residuals of {:.1f} sigma: are units, signs and [gravity_fit] right?"),
+    "fit_prior_ratio": (3.0, "an error of {:.1f} times its 1 sigma: is a sign or the sigma wrong?"),
+    "fit_change": (1.0, "not converged, by {:.1f} sigma: biases too large or data too short?"),
 }
 """Columns of a fit: above which value they are a doubt, and the doubt."""
 
@@ -374,7 +362,7 @@ def fit_cautions(source: Results) -> Iterator[Fact]:
         above = values[values > limit]
         if above.size > rare * values.size:
             which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
-            yield caution(doubt.format(above.max()) + which)
+            yield caution(f"the fit has {doubt.format(above.max())}{which}")
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:
