@@ -1,13 +1,18 @@
-"""Names from a study are printed literally in every medium, and no name breaks a report."""
+"""Reports in every medium: names are literal, the HTML page is whole, and no name breaks it."""
 
+import base64
 import io
+import re
 import sys
 import unicodedata
 from html import escape
+from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
 from rich.console import Console
 from support.stored_results import report_text, store_results
 from support.studies import small_study
@@ -18,10 +23,10 @@ from sinsjax import console as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
-from sinsjax.report.base import Fact, Report, Table
+from sinsjax.report.base import Fact, Picture, Report, Table
 from sinsjax.report.markdown import escape_markdown, to_html
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 NASTY = (
     "[/b]",
@@ -31,14 +36,33 @@ NASTY = (
     "a|b",
     "`tick",
     "*star* _under_ a_b",
-    "[link](http://x) ![image](y)",
+    "[link](http://x) ![image](y) <http://z>",
     ":smile: &amp; ~~gone~~",
     "\\back\\",
     "# heading",
     "- item",
+    "1. number",
 )
 ODD = "\x1b[2J\u202e"
 """Text that a file may contain, which terminal and pages must show harmlessly."""
+PNG = b"\x89PNG\r\n\x1a\n-the picture"
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Results of a study whose names are nasty."""
+    cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
+    study = small_study(study={"name": "[/b] <script>x</script> ../../a", "draws": 2}, cases=cases)
+    return store_results(tmp_path / "results", study, synthetic_summary(study))
+
+
+def whole_report(text: str) -> Report:
+    """A report that has a text in all of its parts."""
+    picture = Picture("fig", text, Figure())
+    picture.figure.suptitle(text)
+    table = Table(text, [text], [[text]], text)
+    blocks = [text, table, picture]
+    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -49,16 +73,12 @@ def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
 
 
-@pytest.mark.usefixtures("drawn_on_request")
-def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(tmp_path: Path) -> None:
-    cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
-    study = small_study(study={"name": "[/b] <script>x</script> ../../a", "draws": 2}, cases=cases)
-    directory = store_results(tmp_path / "results", study, synthetic_summary(study))
+def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: Path) -> None:
     doctored = f"a{ODD}<script>x</script>\nWarning: c"
     changed = {"config": doctored, "warnings": [doctored], "versions": {"sinsjax": doctored}}
-    rewrite_manifest(directory, **changed)
-    page = tmp_path / "page\x1b\u202e.html"
-    printed = report_text(directory, html=page)
+    rewrite_manifest(results, **changed)
+    page = results.parent / "page\x1b\u202e.html"
+    printed = report_text(results, html=page)
     written = page.read_text()
     for text in (printed, written):
         assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text
@@ -71,15 +91,75 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    printed = Console(file=io.StringIO())
-    table = Table(f"title{ODD}", [f"header{ODD}"], [[f"cell{ODD}"]], f"note{ODD}")
-    row = Table(f"verdict{ODD}", [f"head{ODD}"], [[f"row{ODD}"]])
-    whole = Report(f"study{ODD}", [Fact(f"label{ODD}", f"fact{ODD}")], row, [f"text{ODD}", table])
+    printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
     report.print_report(whole, printed, tmp_path, full=True)
-    for text in (printed.file.getvalue(), to_html(f"study{ODD}", [(whole, {})])):
+    for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
-        for part in ("study", "label", "fact", "text", "title", "header", "cell", "note", "row"):
-            assert rf"{part}\x1b" in text, part
+        assert text.count(r"part\x1b") >= 9
+
+
+def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
+    nasty = " ".join(NASTY)
+    text = to_html("<i>& so", [(whole_report(nasty), {"fig": PNG})])
+    assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
+    seen: list[str] = []
+    attributes: list[tuple[str, str | None]] = []
+    words: list[str] = []
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            seen.append(tag)
+            attributes.extend(attrs)
+
+        def handle_data(self, data: str) -> None:
+            words.append(data)
+
+    Reader(convert_charrefs=True).feed(text)
+    assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")} == {1}
+    assert not {"b", "a", "i"} & {*seen}
+    shown = "".join(words)
+    assert shown.count(nasty) == 11 and "<i>& so" in shown
+    (source,) = (value for name, value in attributes if name in ("src", "href") and value)
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
+    assert ("alt", nasty) in attributes
+
+
+def test_html_page_of_results_has_all_tables_and_figures_without_full(results: Path) -> None:
+    page = results.parent / "page.html"
+    printed = report_text(results, html=page, full=False)
+    for title in ("Heading error from true north", "Every variant", "Against "):
+        assert title in page.read_text() and title not in printed
+    figures = len(list((results / "figures").glob("*.png")))
+    assert page.read_text().count("data:image/png;base64,") == figures > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("results/study.toml/one", "--html .*one: cannot be written: .*is not a writable folder$"),
+        ("results", "--html .*results: is a folder, give the name of a file$"),
+    ],
+)
+def test_unwritable_page_is_refused_before_report_is_made(
+    results: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str
+) -> None:
+    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
+    with pytest.raises(InputError, match=message):
+        report_text(results, html=results.parent / name)
+
+
+def test_failed_report_is_one_line_and_keeps_the_results(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ValueError("\nx^\n  ^\nParseSyntaxException")
+
+    before = {path: path.read_bytes() for path in results.rglob("*.*")}
+    monkeypatch.setattr(report.monte_carlo, "build_report", broken)
+    with pytest.raises(InputError, match="the report failed, the results are unchanged") as error:
+        report_text(results)
+    assert "\n" not in str(error.value)
+    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
