@@ -23,7 +23,6 @@ from sinsjax.report.monte_carlo import (
     build_report,
     build_verdict,
     comparison_table,
-    heading_error_table,
     statistics_table,
 )
 from sinsjax.study.load import study_from_dict
@@ -51,21 +50,6 @@ def names_of(directory):
 
 
 # --- tables -------------------------------------------------------------------------------------
-
-
-def test_table_shows_success_settling_and_heading_statistics():
-    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
-    settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
-    ok = np.where(np.isnan(settle), "not_settled", "ok")
-    source = results_of(study, settle_10_s=settle, status=list(ok))
-    _, row = statistics_table(source, study.keys_shown).rows
-    error = analysis.rms(source.summary["phi_u_arcmin"].to_numpy()[1::2])
-    share = format_percent(analysis.share(np.arange(40) < 20))
-    median = analysis.format_estimate(analysis.quantile(settle[1::2]), digits=0)
-    assert row[:6] == ["30", "40", share, share, median, median]
-    assert row[6] == analysis.format_estimate(error)
-    pooled = format_percent(analysis.share(ok == "ok", np.repeat(np.arange(40), 2)))
-    assert f"{pooled} % of the runs" in build_verdict(source).facts[1].text
 
 
 def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
@@ -108,18 +92,6 @@ def test_variants_are_compared_with_first_of_same_conditions_on_same_noise(axes)
     error = analysis.format_estimate(analysis.mean_difference(yaw[1::2], yaw[::2]))
     assert table.title == "Against initial heading error 0 deg, on the same noise"
     assert row[0] == "30" and {"100 [100, 100]", format_percent(share), error} <= {*row}
-
-
-def test_heading_error_table_shows_rms_and_quantile_per_time():
-    """Headings to the left and right do not cancel."""
-    size, sign = np.linspace(200.0, 400.0, 64), np.tile([1.0, -1.0], 32)
-    study = small_study(study={"draws": 64, "report_times_s": [3]})
-    errors = {"phi_u_arcmin": sign * size, "phi_u_at_3_arcmin": 2 * sign * size}
-    table = heading_error_table(results_of(study, all_columns=True, **errors), [])
-    rms, q90 = np.sqrt(np.mean(size**2)), np.sort(size)[57]
-    for row, at, factor in zip(table.rows, ("3 s", "the end"), (2, 1), strict=True):
-        assert row[:2] == ["64", at] and row[2].startswith(f"{factor * rms:.0f} [")
-        assert row[3].startswith(f"{factor * q90:.0f} [")
 
 
 def test_duplicate_variants_count_once_in_verdict_tables_and_shares():
