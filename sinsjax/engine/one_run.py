@@ -46,6 +46,7 @@ class OneRun:
     def __init__(self, batch: Batch, params: RunParams) -> None:
         """Take a batch of one variant, and the params of that, leaves (...)."""
         self._batch, self.params = batch, params
+        self._traced = jax.jit(self._trace)  # a gradient is compiled once
 
     def __call__(self, params: RunParams, draw: Draw) -> Outcome:
         """Return the outcome of one run, SI units, angles in rad, leaves (...).
@@ -56,13 +57,12 @@ class OneRun:
         """
         given: tuple[RunParams, Draw] = jax.tree.map(_as_double, (params, draw))
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
-            return self._trace(*given)
+            return self._traced(*given)
         # The smallest compiled call: its bits depend on no other run.
         params, drawn = jax.tree.map(lambda a: a[None], given)
         alone = self._batch._replace(draws=drawn, params=params)
         chunk = Chunks(alone, tiles_per_chunk=1).compute(0)
-        outcome: Outcome = jax.tree.map(lambda a: a[0], chunk.outcome)
-        return outcome
+        return jax.tree.map(lambda a: a[0], chunk.outcome)
 
     def draw(self, number: int) -> Draw:
         """Return one of the draws by its number; in a recorded study, that of a start time."""
