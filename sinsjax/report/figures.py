@@ -19,10 +19,9 @@ from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.maps import MAX_PANELS
 from sinsjax.report.base import Picture, describe_intervals
 from sinsjax.report.verdict import SweepOutcome
-from sinsjax.study.keys import is_condition_key, is_method_setting
 from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.study.study import Study
-from sinsjax.study.success import SuccessMeasure, success_columns
+from sinsjax.study.success import success_columns
 
 
 def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Picture]:
@@ -40,7 +39,7 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
         for criterion in source.success_measures:
             yield from _maps(replace(outcome, criterion=criterion), axes, others)
     elif axes:
-        yield _curves_along_axis(source, axes[0], others)
+        yield _curves_along_axis(outcome, axes[0], others)
     yield from _consistency(source)
 
 
@@ -99,7 +98,7 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     # A run that ends without success settles never, as in the verdict.
     settle_s = pc.if_else(table[ok], table[settle], None)
     table = table.set_column(table.column_names.index(settle), settle, settle_s)
-    draws, options = format_count(source.draws, "draw"), outcome.choices.options
+    draws = format_count(source.draws, "draw")
     panels = sum(1 for _ in analysis.group_rows(table.select(by), by))
     end = f". The first {MAX_PANELS} of {panels} panels." if panels > MAX_PANELS else "."
     captions = {
@@ -108,27 +107,23 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     }
     if not np.isin(shares, (0.0, 1.0)).all():  # else the times show the same
         captions[ok] = f"Share of {draws} ok, {criterion.plural_description}{end}"
-    title = ""
-    if len(options) > 1:
-        title = f"Best: {options[outcome.best]} ({outcome.format_settling(outcome.best, 's')})"
+    title = _title(outcome)
     for column, caption in captions.items():
-        figure = plots.plot_map(
-            table,
-            axes[0],
-            axes[1],
-            column,
-            by=by,
-            pooled=[key for key in by if is_condition_key(key)],
-            title=title,
-        )
+        figure = plots.plot_map(table, axes[0], axes[1], column, by=by, title=title)
         name = "settling_time" if column == settle else "success_rate"
         suffix = criterion.figure_suffix(source.success_measures[0])
         yield Picture(f"{name}{suffix}", caption, figure)
 
 
-def _curves_along_axis(source: Results, axis: str, line_keys: Sequence[str]) -> Picture:
+def _title(outcome: SweepOutcome) -> str:
+    """Return the option that the verdict names, or nothing without a choice."""
+    best, options = outcome.best, outcome.choices.options
+    return f"Best: {options[best]} ({outcome.format_settling(best, 's')})" * (len(options) > 1)
+
+
+def _curves_along_axis(outcome: SweepOutcome, axis: str, line_keys: Sequence[str]) -> Picture:
     """The settling time, the share of successes and the heading error along a key."""
-    measure: SuccessMeasure = source.success_measures[0]
+    source, measure = outcome.source, outcome.criterion
     titles = {
         f"{measure.settle_column}_median": f"median time (s) to {measure.description}",
         measure.rate_column: f"share of runs that are ok, {measure.plural_description} (%)",
@@ -140,8 +135,8 @@ def _curves_along_axis(source: Results, axis: str, line_keys: Sequence[str]) -> 
     lines = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys))
     if lines > MAX_LINES:
         text += f" {lines - MAX_LINES} more lines are not drawn."
-    figure = plots.draw_along_axis(axis, values, panels, condition=not is_method_setting(axis))
-    return Picture("along_axis", text, figure)
+    title = _title(outcome) or f"Over {plots.axis_label(axis)}"
+    return Picture("along_axis", text, plots.draw_along_axis(axis, values, panels, title=title))
 
 
 def _consistency(source: Results) -> Iterator[Picture]:

@@ -163,9 +163,8 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
         return
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)
     evaluations = [e for e in tuning.searches[name].evaluations if e.candidate == number]
-    grid_points = tuning.tune.grid_points if name == "grid" else None
-    if grid_points:  # without the law's schedule, which is not on the grid
-        evaluations = evaluations[-(grid_points ** len(used)) :]
+    if name == "grid":  # without the law's schedule, which is not on the grid
+        evaluations = evaluations[-(tuning.tune.grid_points ** len(used)) :]
     points = Points(
         objective_label(tuning.search_study),
         np.array([e.values for e in evaluations])[:, used],
@@ -194,7 +193,7 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
         caption += f". All with {chosen}, the values of the best candidate"
     variables = [_variable_axis(space.variables[i]) for i in used]
     title = f"Best: {_describe_candidate(tuning, tuning.best_search)}"
-    figure = draw_descents(variables, points, ways, marked, title, grid_points=grid_points)
+    figure = draw_descents(variables, points, ways, marked, title)
     yield Picture("descent", f"{caption}.", figure)
 
 
