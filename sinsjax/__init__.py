@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from sinsjax.advice.advise import Advice, advise
     from sinsjax.analysis import summarise
     from sinsjax.arena.export import export_study
-    from sinsjax.arena.score import Score, score_results
+    from sinsjax.arena.score import score_results
     from sinsjax.arena.simulated_record import simulated_record
     from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.one_run import one_run
@@ -60,15 +60,15 @@ if TYPE_CHECKING:
     from sinsjax.study.load import load_study, study_from_dict
     from sinsjax.study.reset_plan import ResetPlan, reset_schedule
     from sinsjax.study.study import Study
-    from sinsjax.tuning.from_python import tune
     from sinsjax.tuning.history import read_history
     from sinsjax.tuning.results import TuningResults
+    from sinsjax.tuning.run_tuning import tune
 
 __version__ = runtime.package_version()
 
 # fmt: off
 __all__ = [
-    "Advice", "InputError", "ResetPlan", "Results", "Score", "Study", "StudyWarning",
+    "Advice", "InputError", "ResetPlan", "Results", "Study", "StudyWarning",
     "TuningResults", "TurnChoice", "advise", "align", "configure", "export_study", "info",
     "information_bound", "load_study", "load_increments", "one_run", "plan_turns",
     "plot_belief", "plot_compare", "plot_curves", "plot_map", "read_curves", "read_history",
@@ -82,7 +82,7 @@ _HOMES = {
     "advice.advise": ("Advice", "advise"),
     "analysis": ("summarise",),
     "arena.export": ("export_study",),
-    "arena.score": ("Score", "score_results"),
+    "arena.score": ("score_results",),
     "bounds.turn_planner": ("TurnChoice", "plan_turns"),
     "arena.simulated_record": ("simulated_record",),
     "engine.one_run": ("one_run",),
@@ -97,7 +97,7 @@ _HOMES = {
     "records": ("read_record", "read_reference", "record_from_arrays"),
     "study.load": ("Study", "load_study", "study_from_dict"),
     "study.reset_plan": ("ResetPlan", "reset_schedule"),
-    "tuning.from_python": ("tune",),
+    "tuning.run_tuning": ("tune",),
     "tuning.history": ("read_history",),
     "tuning.results": ("TuningResults",),
 }

@@ -84,13 +84,6 @@ IDENTITY = (
 )
 """Columns that identify the run of a row."""
 
-PREDICTED = column(
-    "predicted_settle_s",
-    "settling time that the law of resets predicts for a median run from this misalignment; null"
-    " where it says nothing",
-)
-"""Column of a study whose resets have a schedule by name."""
-
 OBSERVED = (
     *_misalignment_columns("phi", "misalignment of the corrected attitude", up=_NO_HEADING),
     *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment", up=_NO_HEADING),

@@ -55,8 +55,7 @@ class KeyInfo(NamedTuple):
         in_simulation: value of an omitted key in a simulation; a record determines its own.
         whole: interval that a time must be a multiple of, to which a search rounds it: 'sample',
             or 'record' interval.
-        time: unit of a time within a run, which must not be after its end: 's', or 'pass' for a
-            number of passes.
+        time: 's' for a time within a run, which must not be after its end.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
         acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
             nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
@@ -240,9 +239,6 @@ Numbers = _NumberOr[Finite, tuple[Finite, ...]]
 Vector = _NumberOr[Finite, tuple[Finite, Finite, Finite]]
 NoisePerAxis = _NumberOr[NonNegative, tuple[NonNegative, NonNegative, NonNegative]]
 CrossAxis = _NumberOr[Finite, tuple[Finite, Finite, Finite, Finite, Finite, Finite]]
-PassNumbers = Annotated[
-    tuple[Annotated[int, Field(ge=1, le=10**9)], ...], AfterValidator(_require_increasing)
-]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=1)]
 Damping = Annotated[float, Field(ge=0.01, lt=1)]
 

@@ -2,19 +2,18 @@
 
 from collections.abc import Iterable
 
-from sinsjax.methods.filters.triggers import TRIGGERS
 from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
 
 _RESETS_AND_FEEDBACK = (
-    "At a reset the whole estimate is fed back, then P is set anew; its effect depends on how soon"
-    " the next feedback follows. With `reset_restarts_feedback = true` the next feedback follows a"
-    " whole interval after a reset. With `reset_at_feedback = true` a reset waits for the next"
-    " feedback: two that wait for the same one are one, and the columns of the schedule give its"
-    " times as written. Both together act like the second alone; with feedback at every sample"
-    " neither has an effect, nor has either a gradient. After coarse alignment that hands over, the"
-    " clock starts with fine alignment."
+    "At a reset the whole estimate is fed back, then P is set anew; its effect depends on how "
+    "soon the next feedback follows. With `reset_restarts_feedback = true` the next feedback "
+    "follows a whole interval after a reset. With `reset_at_feedback = true` a scheduled reset "
+    "waits for the next feedback: two that wait for the same one are one, and the columns of "
+    "the schedule give its times as written. Both together act like the second alone; with "
+    "feedback at every sample neither has an effect, nor has either a gradient. After coarse "
+    "alignment that hands over, the clock starts with fine alignment."
 )
 
 _TURNING = (
@@ -56,9 +55,6 @@ def render_methods_page() -> str:
     ]
     lines += ["", "## `kalman10` on a base that is turned", "", _TURNING]
     lines += ["", "## Resets between two feedbacks", "", _RESETS_AND_FEEDBACK]
-    lines += ["", "## Triggers", "", "`[resets] reset_trigger` names one.", ""]
-    lines += ["| trigger | calls for a reset at |", "| --- | --- |"]
-    lines += [f"| `{name}` | {trigger.summary} |" for name, trigger in TRIGGERS.items()]
     return "\n".join(lines) + "\n"
 
 

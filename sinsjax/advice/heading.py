@@ -2,67 +2,52 @@
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from sinsjax.advice.method import accel_density, gyro_density
 from sinsjax.advice.sheet import Sheet
 from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import HeadingProblem
 from sinsjax.execution.information import budget_problem
+from sinsjax.study.load import study_from_dict
+
+
+class Source(NamedTuple):
+    """A source of errors: its name in words, and its key."""
+
+    words: str
+    key: str
+
 
 SOURCES = {
-    "gyro_bias": "gyro turn-on bias",
-    "accel_bias": "accelerometer turn-on bias",
-    "gyro_noise": "angle random walk",
-    "accel_noise": "velocity random walk",
-    "gyro_instability": "gyro bias instability",
-    "accel_instability": "accelerometer bias instability",
-    "gyro_walk": "gyro rate random walk",
-    "accel_walk": "accelerometer random walk",
-    "gyro_quantisation": "gyro quantisation",
-    "accel_quantisation": "accelerometer quantisation",
-    "surge": "surge of the base",
-    "shaking": "vibration",
-    "gyro_scale": "gyro scale factor",
-    "gyro_misalignment": "gyro axis misalignment",
-    "accel_scale": "accelerometer scale factor",
-    "accel_misalignment": "accelerometer axis misalignment",
+    "gyro_bias": Source("gyro turn-on bias", "gyro_bias_deg_per_h"),
+    "accel_bias": Source("accelerometer turn-on bias", "accel_bias_ug"),
+    "gyro_noise": Source("angle random walk", "gyro_arw_deg_per_sqrt_h"),
+    "accel_noise": Source("velocity random walk", "accel_vrw_ug_per_sqrt_hz"),
+    "gyro_instability": Source("gyro bias instability", "gyro_instability_deg_per_h"),
+    "accel_instability": Source("accelerometer bias instability", "accel_instability_ug"),
+    "gyro_walk": Source("gyro rate random walk", "gyro_rrw_deg_per_h_per_sqrt_h"),
+    "accel_walk": Source("accelerometer random walk", "accel_rrw_ug_per_sqrt_h"),
+    "gyro_quantisation": Source("gyro quantisation", "gyro_quantisation_arcsec"),
+    "accel_quantisation": Source("accelerometer quantisation", "accel_quantisation_um_per_s"),
+    "surge": Source("surge of the base", "surge_m_per_s"),
+    "shaking": Source("vibration", "vibration_ug_rms"),
+    "gyro_scale": Source("gyro scale factor", "gyro_scale_ppm"),
+    "gyro_misalignment": Source("gyro axis misalignment", "gyro_misalignment_arcsec"),
+    "accel_scale": Source("accelerometer scale factor", "accel_scale_ppm"),
+    "accel_misalignment": Source("accelerometer axis misalignment", "accel_misalignment_arcsec"),
 }
 """Sources of errors by their names in `heading_variances`."""
 
-KEYS = {
-    "gyro_bias": ("gyro_bias_deg_per_h",),
-    "accel_bias": ("accel_bias_ug",),
-    "gyro_noise": ("gyro_arw_deg_per_sqrt_h", "gyro_noise_deg_per_h"),
-    "accel_noise": ("accel_vrw_ug_per_sqrt_hz", "accel_noise_ug"),
-    "gyro_instability": ("gyro_instability_deg_per_h",),
-    "accel_instability": ("accel_instability_ug",),
-    "gyro_walk": ("gyro_rrw_deg_per_h_per_sqrt_h",),
-    "accel_walk": ("accel_rrw_ug_per_sqrt_h",),
-    "gyro_quantisation": ("gyro_quantisation_arcsec",),
-    "accel_quantisation": ("accel_quantisation_um_per_s",),
-    "surge": ("surge_m_per_s",),
-    "shaking": ("vibration_ug_rms",),
-    "gyro_scale": ("gyro_scale_ppm",),
-    "gyro_misalignment": ("gyro_misalignment_arcsec",),
-    "accel_scale": ("accel_scale_ppm",),
-    "accel_misalignment": ("accel_misalignment_arcsec",),
-}
-"""Keys of each source."""
-
-TURN_ON = ("gyro_bias", "accel_bias")
-"""Sources that are constant in a run."""
-
+_TURN_ON = ("gyro_bias", "accel_bias")
 _LEAST_SHARE = 1e-9
 _CELLS = 4000
 _RATE_HZ = 100.0
 
 
-@dataclass(frozen=True)
-class Budget:
+class Budget(NamedTuple):
     """Variance of the heading over time, by source, of a linear estimator.
 
     Attributes:
@@ -82,8 +67,8 @@ class Budget:
 
     @property
     def varying(self) -> np.ndarray:
-        """(times,) 1 sigma of all but the `TURN_ON` biases, rad."""
-        varying = [source not in TURN_ON for source in self.sources]
+        """(times,) 1 sigma of all but the turn-on biases, rad."""
+        varying = [source not in _TURN_ON for source in self.sources]
         return np.sqrt(self.variance[:, varying].sum(axis=1))
 
     def shares(self, time_s: float) -> dict[str, float]:
@@ -98,22 +83,14 @@ def sheet_problem(sheet: Sheet) -> HeadingProblem:
 
     The bound does not depend on the rate of the data, but a round one makes whole steps.
     """
-    tables = sheet.tables["drawn"]
-    drawn = {key: table for key, table in tables.items() if key != "yaw_center_deg"}
-    motion = {"yaw_center_deg": 0.0} | sheet.tables["motion"]
+    drawn = {key: law for key, law in sheet.tables["drawn"].items() if key != "yaw_center_deg"}
+    motion = {"yaw_center_deg": 0.0} | sheet.motion
     if "attitude_file" in motion:
         del motion["yaw_center_deg"]
     sections = {"alignment": {"method": "inertial"}, "motion": motion, "drawn": drawn}
-    sensors = dict(sheet.tables["sensors"])
-    for key, density, of in (
-        ("gyro_noise_deg_per_h", "gyro_arw_deg_per_sqrt_h", gyro_density),
-        ("accel_noise_ug", "accel_vrw_ug_per_sqrt_hz", accel_density),
-    ):
-        if sensors.pop(key, None):
-            sensors[density] = of(sheet)
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
-    settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1, "report_times_s": []}
-    return budget_problem(sheet.study(sections | {"sensors": sensors}, **settings))
+    settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1}
+    return budget_problem(study_from_dict(sheet.study_tables(sections, **settings), sheet.name))
 
 
 def heading_budget(
@@ -139,21 +116,9 @@ def wrapped_rms(sigma: float) -> float:
 
 def wrapped_quantile(sigma: float, share: float) -> float:
     """Return the angle, rad, that a share of these headings stays within."""
-    angles, reached = _distribution(sigma)
-    return float(np.interp(share, reached, angles))
-
-
-def share_beyond(sigma: float, angle: float) -> float:
-    """Return the share of these headings that is off by more than an angle, rad."""
-    angles, reached = _distribution(sigma)
-    return float(1 - np.interp(angle, angles, reached))
-
-
-def _distribution(sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles and the share of the headings within them."""
     angles, density = _density(sigma)
     reached = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
-    return angles, reached / reached[-1]
+    return float(np.interp(share, reached / reached[-1], angles))
 
 
 def _density(sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -164,3 +129,10 @@ def _density(sigma: float) -> tuple[np.ndarray, np.ndarray]:
     across = np.exp(-0.5 * (length * np.sin(angles)) ** 2)
     tail = math.exp(-0.5 * length**2)
     return angles, tail + math.sqrt(2 * math.pi) * along * special.ndtr(along) * across
+
+
+def format_angle(arcmin: float) -> str:
+    """Return an angle, arcmin, in degrees where it is large."""
+    if arcmin < 100:
+        return f"{arcmin:.1f}'" if arcmin < 20 else f"{arcmin:.0f}'"
+    return f"{arcmin / 60:.1f} deg" if arcmin < 600 else f"{arcmin / 60:.0f} deg"

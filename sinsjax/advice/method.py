@@ -1,15 +1,13 @@
-"""The method that advice names, its settings and its loss against the information bound."""
+"""The method that advice names, its settings and its loss against linear theory."""
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import tomli_w
 
 from sinsjax.advice.sheet import Sheet, rms
-from sinsjax.methods.filters.keys import level_surge, update_variance
+from sinsjax.methods.filters.keys import level_surge
 from sinsjax.study.schema import MotionSection
-from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H
 
 FIT, FILTER = "gravity_fit", "kalman_surge"
 
@@ -46,7 +44,7 @@ class Choice(NamedTuple):
         """The sections as TOML."""
         return tomli_w.dumps(self.sections).strip()
 
-    def expected_sigma(self, sigma: float, varying: float = 0.0) -> float:
+    def expected_sigma(self, sigma: float, varying: float) -> float:
         """Return the 1 sigma to expect, rad, from that of linear theory.
 
         Args:
@@ -61,80 +59,44 @@ class Choice(NamedTuple):
 
 def choose_method(sheet: Sheet) -> Choice:
     """Return the method with the least error for a sheet."""
-    motion = sheet.tables["motion"]
-    surge = level_surge(motion.get("surge_m_per_s"))
-    if surge:
+    if surge := level_surge(sheet.motion.get("surge_m_per_s")):
         sections = {
             "alignment": {"method": FILTER},
-            "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": surge_time_s(motion)},
-            "filter": _noise_of(sheet),
+            "surge": {"r_surge_m_per_s": surge, "r_surge_time_s": surge_time_s(sheet)},
+            "filter": {  # R, which is left out, follows the motion
+                "q_reading": "psd",
+                "q_gyro_arw_deg_per_sqrt_h": _round_off(sheet.sigma("gyro_arw_deg_per_sqrt_h")),
+                "q_accel_ug_per_sqrt_hz": _round_off(sheet.sigma("accel_vrw_ug_per_sqrt_hz")),
+            },
         }
         return Choice(FILTER, sections, "it estimates the velocity of a surging base")
-    beliefs = {
-        "fit_gyro_bias_deg_per_h": sheet.sigma("gyro_bias_deg_per_h"),
-        "fit_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
-        "fit_accel_bias_ug": sheet.sigma("accel_bias_ug"),
-        "fit_accel_vrw_ug_per_sqrt_hz": accel_density(sheet),
-        "fit_gyro_scale_ppm": sheet.sigma("gyro_scale_ppm"),
-        "fit_gyro_misalignment_arcsec": sheet.sigma("gyro_misalignment_arcsec"),
-        "fit_lever_arm_m": lever_arm(motion),
-    }
+    arm = _lever_arm(sheet)
+    keys = (
+        *("gyro_bias_deg_per_h", "gyro_arw_deg_per_sqrt_h", "accel_bias_ug"),
+        *("accel_vrw_ug_per_sqrt_hz", "gyro_scale_ppm", "gyro_misalignment_arcsec"),
+    )
+    beliefs = {f"fit_{key}": sheet.sigma(key) for key in keys} | {"fit_lever_arm_m": arm}
     sections = {
         "alignment": {"method": FIT},
-        "gravity_fit": {key: round_off(value) for key, value in beliefs.items() if value},
+        "gravity_fit": {key: _round_off(value) for key, value in beliefs.items() if value},
     }
     reason = "it fits all the data at once and needs no initial attitude"
-    if lever_arm(motion):
-        reason += ", and the lever arm is one of its unknowns"
-    return Choice(FIT, sections, reason)
+    return Choice(FIT, sections, reason + ", and the lever arm is one of its unknowns" * bool(arm))
 
 
-def surge_time_s(motion: Mapping[str, Any]) -> float:
+def surge_time_s(sheet: Sheet) -> float:
     """Return the correlation time of the surge, s."""
-    return float(motion.get("surge_time_s", MotionSection.model_fields["surge_time_s"].default))
+    default = MotionSection.model_fields["surge_time_s"].default
+    return float(sheet.motion.get("surge_time_s", default))
 
 
-def velocity_sigma(sheet: Sheet) -> float:
-    """Return the root of R of a filter that takes surge for noise, m/s per update."""
-    motion = sheet.tables["motion"]
-    surge = level_surge(motion.get("surge_m_per_s"))
-    time_s = surge_time_s(motion)
-    rate_hz = float(sheet.tables["study"]["rate_hz"])
-    return round_off(math.sqrt(update_variance(rate_hz, None, "per_update", None, surge, time_s)))
-
-
-def _noise_of(sheet: Sheet) -> dict[str, Any]:
-    """Return Q as the data sheet has it; R, which is left out, follows the motion."""
-    return {
-        "q_reading": "psd",
-        "q_gyro_arw_deg_per_sqrt_h": gyro_density(sheet),
-        "q_accel_ug_per_sqrt_hz": accel_density(sheet),
-    }
-
-
-def gyro_density(sheet: Sheet) -> float:
-    """Return the angle random walk, deg/sqrt(h)."""
-    if density := sheet.sigma("gyro_arw_deg_per_sqrt_h"):
-        return round_off(density)
-    per_sample = sheet.sigma("gyro_noise_deg_per_h") * DEG_PER_H
-    return round_off(per_sample / math.sqrt(sheet.tables["study"]["rate_hz"]) / DEG_PER_SQRT_H)
-
-
-def accel_density(sheet: Sheet) -> float:
-    """Return the velocity random walk, ug/sqrt(Hz)."""
-    if density := sheet.sigma("accel_vrw_ug_per_sqrt_hz"):
-        return round_off(density)
-    return round_off(sheet.sigma("accel_noise_ug") / math.sqrt(sheet.tables["study"]["rate_hz"]))
-
-
-def lever_arm(motion: Mapping[str, Any]) -> float:
+def _lever_arm(sheet: Sheet) -> float:
     """Return the rms of the parts of a lever arm that sways or turns, m."""
     keys = ("pitch_amplitude_deg", "roll_amplitude_deg", "yaw_amplitude_deg", "turn_times_s")
-    if not any(motion.get(key) for key in (*keys, "attitude_file")):
-        return 0.0
-    return rms(motion.get("lever_arm_m", 0.0))
+    moves = any(sheet.motion.get(key) for key in (*keys, "attitude_file"))
+    return rms(sheet.motion.get("lever_arm_m", 0.0)) if moves else 0.0
 
 
-def round_off(value: float) -> float:
+def _round_off(value: float) -> float:
     """Return a number with four digits."""
     return float(f"{value:.4g}")

@@ -1,4 +1,4 @@
-"""The two conventions in which programs read and return attitudes.
+"""The two conventions in which programs read records and return attitudes.
 
 | frame | navigation | body | yaw | C_b^n |
 | --- | --- | --- | --- | --- |
@@ -10,8 +10,6 @@ up (or down), then right, then front: only the sign of yaw differs. Quaternions 
 navigation, scalar first.
 """
 
-from typing import Literal
-
 import jax
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +17,16 @@ from numpy.typing import NDArray
 from sinsjax.maths.rotations import from_euler, to_euler
 from sinsjax.types import Quat
 
-Frame = Literal["enu", "ned"]
-FRAMES: tuple[Frame, ...] = ("enu", "ned")
+FRAMES = ("enu", "ned")
 
 _to_euler = jax.jit(jax.vmap(to_euler))
 _from_euler = jax.jit(jax.vmap(from_euler))
 
-BODY_AXES = {"enu": "rfu", "ned": "frd"}
-"""Names in `records.layout.NAMED_AXES` of the body axes of a frame."""
+
+def to_body_axes(vectors: NDArray, frame: str) -> NDArray:
+    """Return vectors in the body axes of a frame, (..., 3), from right, front, up."""
+    right, front, up = np.moveaxis(vectors, -1, 0)
+    return np.stack([front, right, -up] if frame == "ned" else [right, front, up], axis=-1)
 
 
 def to_angles(attitude: Quat, frame: str) -> NDArray:

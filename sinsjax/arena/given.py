@@ -4,8 +4,9 @@ The runs are those of a batch with a method of `build_external`. The attitudes t
 its own, and pass through the same observation, metrics and criteria as those of any run.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,12 +24,7 @@ from sinsjax.types import Array, Quat
 
 
 class ExternalState(NamedTuple):
-    """The solution of a program.
-
-    Attributes:
-        attitude: from b to n.
-        covariance: of its misalignment; NaN if the program gives none.
-    """
+    """The solution of a program: attitude from b to n, and covariance of its misalignment."""
 
     attitude: Quat
     covariance: AttitudeCovariance
@@ -52,71 +48,71 @@ class GivenAttitudes(NamedTuple):
     """Attitudes of some runs at record times; leaves (records, runs).
 
     Attributes:
-        present: whether a run has an attitude at a record time.
-        attitude: from b to n.
+        present: whether a run is judged at a record time.
+        attitude: from b to n; NaN counts as outside every band.
         covariance: of its misalignment; NaN if unknown.
-        unknown_until: (runs,) time up to which a run counts as outside every band, s.
     """
 
     present: Array
     attitude: Quat
     covariance: AttitudeCovariance
-    unknown_until: Array
+
+    def select(self, runs: NDArray) -> "GivenAttitudes":
+        """Return those of some runs."""
+        return jax.tree.map(lambda a: a[:, runs], self)
 
 
-def find_starts(batch: Batch) -> dict[str, NDArray]:
-    """Return the first solutions and the places of all runs of a batch, by draw and variant.
+class RunStarts(NamedTuple):
+    """The starts of all runs of a batch by draw and variant, leaves (runs,), and its truth.
 
-    Quaternions are misaligned, from b to n, velocities in m/s, and the latitude in rad.
+    Attributes:
+        attitude: misaligned, from b to n.
+        velocity: east and north, m/s.
+        latitude: rad.
+        height: m.
+        gravity: m/s^2.
+        truth: true attitudes of the draws at record times, leaves (intervals, draws).
     """
-    return jax.tree.map(np.asarray, _find_starts(batch.spec, batch.environment, _tile(batch)))
+
+    attitude: Quat
+    velocity: tuple[Array, Array]
+    latitude: Array
+    height: Array
+    gravity: Array
+    truth: Quat
 
 
-def true_attitudes_at_records(batch: Batch) -> Quat:
-    """Return the true attitudes of the draws of a batch, leaves (intervals, draws)."""
-    return jax.tree.map(np.asarray, _true_attitudes(batch.spec, batch.environment, _tile(batch)))
+def find_starts(batch: Batch) -> RunStarts:
+    """Return the first solutions, the places and the true attitudes of the runs of a batch."""
+    return _call(_find_starts, batch)
 
 
 def judge(batch: Batch, given: GivenAttitudes) -> Outcome:
     """Return the outcomes of all runs of a batch of the program, by draw and variant."""
-    outcome = _judge(batch.spec, batch.environment, _tile(batch), given)
-    return jax.tree.map(np.asarray, outcome)
+    return _call(_judge, batch, given)
 
 
-def _tile(batch: Batch) -> Tiles:
-    """Return the arguments of one tile with all runs of a batch."""
+def _call(function: Callable, batch: Batch, *arguments: Any) -> Any:
+    """Return a function of one tile with all runs of a batch, in NumPy."""
     row = np.repeat(np.arange(batch.n_draws, dtype=np.int32), batch.n_variants)
     params = jax.tree.map(
         lambda a: np.tile(a, (batch.n_draws, *(1,) * (np.ndim(a) - 1))), batch.params
     )
-    return Tiles(batch.draws, row, params)
+    tile = Tiles(batch.draws, row, params)
+    return jax.tree.map(np.asarray, function(batch.spec, batch.environment, tile, *arguments))
 
 
 @partial(jax.jit, static_argnums=0)
-def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> dict[str, Array]:
+def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> RunStarts:
     runs = set_up(spec, environment, tile)
-    params, attitude = runs.params, runs.start().state.attitude
-    place = {
-        "latitude": runs.site.latitude,
-        "height_m": runs.site.earth.height,
-        "gravity_m_per_s2": runs.site.place.gravity,
-    }
-    return {
-        **{f"q_{axis}": part for axis, part in zip("wxyz", attitude, strict=True)},
-        "v_east_m_per_s": params.ve,
-        "v_north_m_per_s": params.vn,
-        **{name: jnp.broadcast_to(value, params.ve.shape) for name, value in place.items()},
-    }
-
-
-@partial(jax.jit, static_argnums=0)
-def _true_attitudes(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Quat:
-    runs = set_up(spec, environment, tile)
-    attitudes: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
+    truth: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
     turns = runs.sensors.housing_turns(spec.intervals)
-    if turns is None:
-        return attitudes
-    return multiply(attitudes, jax.tree.map(lambda a: a[1:], turns))
+    if turns is not None:
+        truth = multiply(truth, jax.tree.map(lambda a: a[1:], turns))
+    params, attitude = runs.params, runs.start().state.attitude
+    place = runs.site.latitude, runs.site.earth.height, runs.site.place.gravity
+    latitude, height, gravity = (jnp.broadcast_to(a, params.ve.shape) for a in place)
+    return RunStarts(attitude, (params.ve, params.vn), latitude, height, gravity, truth)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -133,9 +129,5 @@ def _judge(
         observed = runs.observe(Run(state, run.metrics), interval, turn)
         return jax.vmap(select_tree)(now.present, observed, run), None
 
-    first = runs.start()
-    until = given.unknown_until[:, None, None] + first.metrics.outside_until
-    first = first._replace(metrics=first.metrics._replace(outside_until=until))
-    rows = given._replace(unknown_until=jnp.zeros_like(given.present[:, :1]))
-    last, _ = jax.lax.scan(observe, first, (runs.intervals(), rows))
+    last, _ = jax.lax.scan(observe, runs.start(), (runs.intervals(), given))
     return runs.finish(last)

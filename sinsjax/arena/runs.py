@@ -1,13 +1,11 @@
 """The runs of a program outside sinsjax: a study's variants as far as data and start differ.
 
 Variants that differ only in a method and its settings are one run for a program: they have the
-same condition. A record belongs to a draw and to an environment: Earth, motion of the base,
-sensors.
+same condition. A record belongs to a draw and to an environment: Earth, motion, sensors.
 """
 
-from collections.abc import Hashable, Iterable
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +18,7 @@ from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.success import require_floor
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import register_external
-from sinsjax.study.keys import TomlTable, is_condition_key
+from sinsjax.study.keys import is_condition_key
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study, study_to_tables
 
@@ -28,97 +26,53 @@ ANY_PROGRAM = "external"
 """Name of a program that has none yet."""
 
 
-class ProgramPart(NamedTuple):
-    """Variants of a program that the engine judges together, in one environment.
-
-    Attributes:
-        number: number of the part in `ProgramRuns.scenario`.
-        ids: (variants,) its variants in the study with the program.
-        condition: (variants,) number of their conditions, some of which may be the same.
-    """
-
-    number: int
-    ids: NDArray
-    condition: NDArray
-
-
 class ProgramRuns:
-    """The runs of a program on a simulated study, by draw, then by condition.
+    """The runs of a program on a simulated study, (draws, conditions).
 
     Attributes:
         source: the study without the program.
         study: the study with the program as a further method.
         name: of the program.
-        draws: the draws.
         keys: swept keys whose values distinguish conditions.
-        conditions: the conditions, as values of them.
+        condition: (variants,) number of the condition of each variant of ``source``.
         variants: (conditions,) the first variant of each in ``source``, ascending.
         has_start: (conditions,) whether a run starts from a given attitude.
         environments: (conditions,) number of the environment, each of which has its own records.
-        run_id: (runs,) their numbers in ``source``.
-        samples: number of samples of a record.
+        run_id: (draws, conditions) their numbers in ``source``.
         end_s: length of a run, s.
     """
 
-    def __init__(self, source: Study, draws: range, name: str = ANY_PROGRAM) -> None:
+    def __init__(self, source: Study, name: str = ANY_PROGRAM) -> None:
         """Lay out the runs of a program; its name is refused as by `add_program`."""
-        self.source, self.name, self.draws = source, name, draws
-        self.study, self.keys = add_program(source, name), condition_keys(source)
-        of_variant = conditions_of(source, self.keys)
-        self.conditions = list(dict.fromkeys(of_variant))
-        number = _number(of_variant)
-        self.variants = np.unique(number, return_index=True)[1]
-        starting = number[~source.without_effect("phi_u0_deg")]
-        self.has_start = np.isin(np.arange(len(self.conditions)), starting)
-        kept = [i for i, key in enumerate(self.keys) if key not in INITIAL_KEYS]
-        self.environments = _number(tuple(point[i] for i in kept) for point in self.conditions)
-        self.run_id = np.add.outer(np.array(draws) * source.n_variants, self.variants).ravel()
-        self.samples = source.records * source.record_every
-        self.end_s = self.samples / source.rate_hz
+        self.source, self.name, self.study = source, name, add_program(source, name)
+        swept = (key for key in source.axis_keys if is_condition_key(key))
+        starts_vary = not source.without_effect("phi_u0_deg").all()
+        self.keys = [key for key in swept if starts_vary or key not in INITIAL_KEYS]
+        self.condition = self._conditions(source, range(source.n_variants))
+        self.variants = np.unique(self.condition, return_index=True)[1]
+        starting = self.condition[~source.without_effect("phi_u0_deg")]
+        self.has_start = np.isin(np.arange(len(self.variants)), starting)
+        data = [source.values(key) for key in self.keys if key not in INITIAL_KEYS]
+        self.environments = _number(tuple(v[i] for v in data) for i in self.variants)
+        first = source.n_variants * np.arange(source.n_draws)
+        self.run_id = np.add.outer(first, self.variants)
+        self.end_s = source.records * source.record_every / source.rate_hz
 
-    @cached_property
-    def scenario(self) -> Scenario:
-        """The study with the program, ready for its runs to be judged."""
+    def _conditions(self, study: Study, variants: Iterable[int]) -> NDArray:
+        """Return the number of the condition of some variants, by first appearance."""
+        columns = [study.values(key) for key in self.keys]
+        return _number(tuple(column[i] for column in columns) for i in variants)
+
+    def batches(self) -> Iterator[tuple[Batch, NDArray]]:
+        """Yield the program's runs by environment, and the condition of each of their variants."""
         require_floor(self.study)
-        return Scenario(self.study, curves=False)
-
-    @cached_property
-    def parts(self) -> list[ProgramPart]:
-        """The parts of the program."""
-        is_program = np.array(self.study.values("method")) == self.name
-        condition = np.full(len(is_program), -1)
-        points = conditions_of(self.study, self.keys)
-        condition[is_program] = _number(points[i] for i in np.flatnonzero(is_program))
-        return [
-            ProgramPart(number, ids, condition[ids])
-            for number, ids in enumerate(self.scenario.variant_ids)
-            if is_program[ids[0]]
-        ]
-
-    def part_of(self, environment: int) -> ProgramPart:
-        """Return a part in an environment."""
-        return next(p for p in self.parts if self.environments[p.condition[0]] == environment)
-
-    def places(self, part: ProgramPart, draws: range) -> NDArray:
-        """Return the places of the runs of a batch, by draw and variant, among all runs."""
-        draw = np.array(draws) - self.draws.start
-        return np.add.outer(draw * len(self.conditions), part.condition).ravel()
-
-    def batch(self, part: ProgramPart, draws: range | None = None) -> Batch:
-        """Return the runs of a part, on all draws or some of them."""
-        return self.scenario.batch(part.number, draws or self.draws)
-
-
-def condition_keys(study: Study) -> list[str]:
-    """Return the swept keys that decide the data or the start of a run."""
-    swept = (key for key in study.axis_keys if is_condition_key(key))
-    return [k for k in swept if k not in INITIAL_KEYS or not study.without_effect(k).all()]
-
-
-def conditions_of(study: Study, keys: list[str]) -> list[tuple[Any, ...]]:
-    """Return the condition of each variant, as values of some keys."""
-    columns = [study.values(key) for key in keys]
-    return [tuple(column[i] for column in columns) for i in range(study.n_variants)]
+        methods = self.study.values("method")
+        program = [i for i, method in enumerate(methods) if method == self.name]
+        condition = dict(zip(program, self._conditions(self.study, program), strict=True))
+        scenario = Scenario(self.study, curves=False)
+        for number, ids in enumerate(scenario.variant_ids):
+            if ids[0] in condition:
+                yield scenario.batch(number), np.array([condition[i] for i in ids])
 
 
 def _number(values: Iterable[Hashable]) -> NDArray:
@@ -146,38 +100,25 @@ def add_program(study: Study, name: str) -> Study:
     """Return a study with a program as a further method, which has every condition of the others.
 
     Raises:
-        InputError: the name cannot be that of a program.
+        InputError: the name is that of a method of sinsjax, or [axes] zips methods with other keys.
     """
     register_external([name], build_external)
-    if name in study.methods:
-        raise InputError(f"{study.name}: has results of {name!r} already (give another --name)")
     tables = study_to_tables(study)
-    for section in ("tune", "stop_when"):
-        tables.pop(section, None)
-    tables["study"]["external"] = [*(study.study.external or ()), name]
-    axes = dict(tables.get("axes", {}))
-    joint = next((k for k, v in axes.items() if isinstance(v, dict) and "method" in v), None)
-    if any("method" in case for case in tables.get("cases", ())):
-        tables["cases"] = _with_program([dict(case) for case in tables["cases"]], name)
-    elif joint is not None:
-        columns = axes[joint]
-        rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-        rows = _with_program(rows, name)
-        axes[joint] = {key: [row[key] for row in rows] for key in columns}
+    tables["study"]["external"] = [name]
+    axes, cases = dict(tables.get("axes", {})), list(tables.get("cases", ()))
+    if any(isinstance(axis, dict) and "method" in axis for axis in axes.values()):
+        text = "zips methods with other keys (give them as [[cases]])"
+        raise InputError(f"{study.name}: [axes]: {text}")
+    if any("method" in case for case in cases):
+        first: dict[Any, Any] = {}  # the first case of each condition
+        for case in cases:
+            first.setdefault(tuple((k, case[k]) for k in case if is_condition_key(k)), case)
+        for case in first.values():
+            label = name if len(first) == 1 else f"{name}, {case.get('case')}"
+            cases.append(case | {"method": name} | ({"case": label} if "case" in case else {}))
+        tables["cases"] = cases
     elif "method" in axes:
         axes["method"] = [*axes["method"], name]
     else:
         axes = {"method": [tables["alignment"].pop("method"), name], **axes}
     return study_from_dict(tables | {"axes": axes}, study.name)
-
-
-def _with_program(rows: list[TomlTable], name: str) -> list[TomlTable]:
-    """Return rows of methods, and a row of the program for each distinct condition of them."""
-    first: dict[Any, TomlTable] = {}
-    for row in rows:
-        first.setdefault(tuple((k, row[k]) for k in row if is_condition_key(k)), row)
-    more = []
-    for row in first.values():
-        label = name if len(first) == 1 else f"{name}, {row.get('case')}"
-        more.append(row | {"method": name} | ({"case": label} if "case" in row else {}))
-    return [*rows, *more]

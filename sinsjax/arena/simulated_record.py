@@ -44,13 +44,7 @@ def simulated_record(study: StudySource, draw_id: int = 0, variant_id: int = 0) 
 
 
 def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Record]:
-    """Yield the record of each draw of a simulation; one program serves all.
-
-    Args:
-        batch: its runs.
-        rate_hz: its sample rate, Hz.
-        source: name of the records.
-    """
+    """Yield the record of each draw of a simulation, of a rate in Hz; one program serves all."""
     spec, environment = batch.spec, batch.environment
     samples = min(spec.intervals, int(environment.pass_intervals)) * spec.interval_samples
     if environment.increments is None and environment.motion is not None:

@@ -2,8 +2,8 @@
 
 The results are read again with the yaw mirrored or turned by quarter turns, in radians, and with
 quaternions inverted or with their scalar last. Each reading is compared with the truth and with the
-methods of sinsjax on the same draws: their errors are mostly those of the same noise and biases, so
-that even the sign of a small error shows.
+median of sinsjax's methods on the same draws, whose errors are mostly those of the same noise and
+biases, so even the sign of a small error shows.
 """
 
 from collections.abc import Iterator
@@ -46,26 +46,20 @@ _QUATERNIONS = {
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str | None:
+def suspect(given: GivenResults, q_true: Quat, usual: NDArray) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
         given: last row of each run.
         q_true: true attitudes there.
-        references: (runs, 3) misalignment of methods of sinsjax at the end of the same runs, rad;
-            NaN for runs that failed.
+        usual: (runs, 3) misalignment of sinsjax's methods there, rad; not used if one is NaN.
     """
-    phi = np.stack(_misalignments(q_true, given.attitude), axis=-1)
-    others = [(words, np.stack(_misalignments(q_true, q), axis=-1)) for words, q in _read(given)]
-    anchors = [(np.zeros(3), _LEAST, DEG)]  # phi that is expected, least error, still good
-    for reference in references:
-        if np.isfinite(reference).all():
-            anchors.append((reference, 0.0, max(DEG, 3 * _distance(reference, np.zeros(3)))))
+    expected = [np.zeros_like(usual), *([usual] if np.isfinite(usual).all() else [])]
     found = []
-    for anchor, least, good in anchors:
-        error = _distance(phi, anchor)
-        for words, reading in others:
-            now = _distance(reading, anchor)
+    for words, attitude in _iter_readings(given):
+        for phi, least in zip(expected, (_LEAST, 0.0), strict=False):
+            error, now = (_distance(q_true, q, phi) for q in (given.attitude, attitude))
+            good = max(DEG, 3 * _norm(phi))
             if error > least and now <= min(_BETTER * error, max(good, _MUCH_BETTER * error)):
                 found.append((now / error * _SIMPLER ** (len(words) - 1), words, now, error))
     if not found:
@@ -77,19 +71,23 @@ def suspect(given: GivenResults, q_true: Quat, references: list[NDArray]) -> str
     )
 
 
-def _distance(phi: NDArray, anchor: NDArray) -> float:
-    return float(np.median(np.linalg.norm(phi - anchor, axis=-1)))
+def _distance(q_true: Quat, attitude: Quat, phi: NDArray) -> float:
+    """Return the median distance of misalignments from those that are expected, rad."""
+    return _norm(np.stack(_misalignments(q_true, attitude), axis=-1) - phi)
 
 
-def _read(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
+def _norm(phi: NDArray) -> float:
+    return float(np.median(np.linalg.norm(phi, axis=-1)))
+
+
+def _iter_readings(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
     """Yield other readings of results: what they suppose, in words, and attitudes."""
-    angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
+    angles, units = given.values, {"": 1.0, "are the angles in radians": 1 / DEG}
     if given.has_quaternions:
+        angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
         for text, (order, sign) in _QUATERNIONS.items():
             values = given.values[:, order] * [1, sign, sign, sign]
             yield (text,), from_quaternion(values, given.frame)
-    else:
-        angles, units = given.values, units | {"are the angles in radians": 1 / DEG}
     for (unit, factor), (yaw, (sign, turn)) in product(units.items(), _YAWS.items()):
         if words := tuple(filter(None, (unit, yaw))):
             changed = factor * angles

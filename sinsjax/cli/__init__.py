@@ -223,11 +223,11 @@ def rerun(
     """
     from sinsjax.execution import rerun as rerunning
     from sinsjax.execution.directory import results_path
-    from sinsjax.tuning import history, run_tuning
+    from sinsjax.tuning import history
 
     runtime.configure()
     if history.is_tuning(directory):
-        evaluation = directory / run_tuning.EVALUATION
+        evaluation = directory / history.EVALUATION
         raise InputError(
             f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
         )
@@ -328,9 +328,4 @@ def _describe_end(error: Any) -> tuple[int, list[str]]:
         text = to_one_line(error.format_message()).rstrip(".")
         help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
         return 2, [f"error: {text[:1].lower()}{text[1:]}{help_}"]
-    from sinsjax.methods.plugins import describe_plugin_error
-
-    described = describe_plugin_error(error)
-    if described is None:
-        raise error
-    return 2, [f"error: {described}"]
+    raise error

@@ -67,14 +67,15 @@ def advise(
     Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion rocking
     """
     from sinsjax.advice.advise import advise as advise_on
-    from sinsjax.advice.sheet import describe_sheets
+    from sinsjax.advice.sheet import shipped_sheets
     from sinsjax.advice.text import describe_advice
     from sinsjax.study.changes import parse_changes
 
     console = plain_console()
     if imu == "list":
-        for line in describe_sheets():
-            print_line(console, line)
+        for name, path in shipped_sheets().items():
+            comment = path.read_text(encoding="utf-8").partition("\n")[0]
+            print_line(console, f"{name:<12} {comment.removeprefix('# ')}")
         return
     if study_file is not None:
         require_new(study_file)

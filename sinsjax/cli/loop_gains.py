@@ -21,12 +21,21 @@ def gain_tables(
         gravity: m/s^2.
         radius: of the Earth, m.
     """
-    from sinsjax.methods import compass_design as loops
+    import numpy as np
+
+    from sinsjax.methods import compass as loops
     from sinsjax.report.base import Table
 
     earth = {"gravity": gravity, "radius": radius}
     level = loops.level_gains(level_sigma, damping, **earth)
     azimuth = loops.azimuth_gains(azimuth_sigma, damping, **earth)
+
+    def tilt(found: Any) -> list[float]:
+        """Return the last two coefficients of s^2 + K1 s + (1 + K2) g/R."""
+        return [found.k1, (1 + found.k2) * gravity / radius]
+
+    azimuth_polynomial = np.polymul([1, azimuth.k4, 0], [1, *tilt(azimuth)])
+    azimuth_polynomial[-1] += gravity * azimuth.k3
     gains = [
         ["K1", f"{level.k1:.4g}", "1/s", f"{azimuth.k1:.4g}", "1/s"],
         ["K2", f"{level.k2:.4g}", "-", f"{azimuth.k2:.4g}", "-"],
@@ -34,13 +43,8 @@ def gain_tables(
         ["K4", "-", "-", f"{azimuth.k4:.4g}", "1/s"],
     ]
     found = [
-        _loop_row("level", level_sigma, damping, loops.roots(loops.level_matrix(level, **earth))),
-        _loop_row(
-            "azimuth",
-            azimuth_sigma,
-            damping,
-            loops.roots(loops.azimuth_matrix(azimuth, **earth)),
-        ),
+        _loop_row("level", level_sigma, damping, np.roots([1, *tilt(level), gravity * level.k3])),
+        _loop_row("azimuth", azimuth_sigma, damping, np.roots(azimuth_polynomial)),
     ]
     return [
         Table(

@@ -212,7 +212,7 @@ def keys(
 
 
 def schedule(config: Config, changes: Changes = None) -> None:
-    """Compute by the law when to reset a study's filter, and predict its settling time.
+    """Compute by the law when to reset a study's filter.
 
     Example: sinsjax schedule paper1_resets
     """

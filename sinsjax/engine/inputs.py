@@ -6,7 +6,7 @@ are the numbers of one run. Fields of a draw that are None are those of the envi
 """
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -54,8 +54,7 @@ class ProgramSpec(NamedTuple):
         kept: samples per draw that are made once and kept, when passes read them in both
             directions and each sample depends on those before it; 0 to make samples as they are
             read.
-        passes: how the stored record is read: "once", forward and backward in turn ("alternate"),
-            or forward every time ("rewind").
+        reverses: whether the stored record is read repeatedly, forward and backward in turn.
         coarse: the stage before the method's own; None if there is none.
         stacks: whether tiles of a method whose covariance all draws share may share it.
     """
@@ -69,14 +68,9 @@ class ProgramSpec(NamedTuple):
     distorted: bool = False
     sways: bool = True
     kept: int = 0
-    passes: Literal["once", "alternate", "rewind"] = "once"
+    reverses: bool = False
     coarse: CoarseStage | None = None
     stacks: bool = True
-
-    @property
-    def rewinds_attitude(self) -> bool:
-        """Whether an attitude is propagated back to the beginning of the record."""
-        return self.passes == "rewind" or (self.coarse is not None and self.coarse.replays)
 
     @property
     def program(self) -> Program:
@@ -92,7 +86,7 @@ class ProgramSpec(NamedTuple):
         """Return the program of the coarse stage, which lies within one pass."""
         assert self.coarse is not None
         options = Options(self.options.dt)
-        return self._replace(method=self.coarse.method, options=options, passes="once")
+        return self._replace(method=self.coarse.method, options=options, reverses=False)
 
 
 # What runs share

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine import metrics
+from sinsjax.engine import metrics, passes
 from sinsjax.engine.inputs import (
     Draw,
     Environment,
@@ -27,21 +27,19 @@ from sinsjax.engine.inputs import (
     map_draws,
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
+from sinsjax.engine.passes import PassReading
 from sinsjax.engine.samples import SensorState, TileSensors
 from sinsjax.engine.stepping import Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
-from sinsjax.methods import passes
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.method import (
     AttitudeCovariance,
     Program,
-    RunEnd,
     Site,
-    bias_floor,
+    earth_floor,
     unknown_covariance,
 )
-from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -182,11 +180,12 @@ class RunFunctions(NamedTuple):
     def floor(self, params: RunParams, site: Site, biases: MeanBiases) -> BiasFloor:
         """Return the bias floor at the end of the run; none if that of the method is not known."""
         number = (self.spec.intervals - 1) // self.environment.pass_intervals
-        backward = (self.spec.passes == "alternate") & (number % 2 == 1)
-        end = RunEnd(float(self.spec.intervals * self.spec.interval_samples), backward)
+        backward = self.spec.reverses & (number % 2 == 1)
+        last = float(self.spec.intervals * self.spec.interval_samples)
         if self.method.floor is None:
             biases = jax.tree.map(jnp.zeros_like, biases)
-        return (self.method.floor or bias_floor)(params.method, site.place, biases, end)
+        floor = self.method.floor or earth_floor
+        return floor(params.method, site.place, biases, last, backward)
 
     def start(self, params: RunParams, site: Site, q: Quat) -> Run:
         """Return the run before its first sample, from the attitude before its misalignment."""
@@ -195,7 +194,7 @@ class RunFunctions(NamedTuple):
         return Run(self.method.init(params.method, nav), first)
 
     def start_after_coarse(
-        self, params: RunParams, site: Site, q: Quat, rotation: BodyRotation | None
+        self, params: RunParams, site: Site, q: Quat, rotation: Quat | None
     ) -> Any:
         """Return the state of the method after the coarse stage: at rest, with P0.
 
@@ -206,7 +205,7 @@ class RunFunctions(NamedTuple):
         samples = zero + float(coarse.intervals * self.spec.interval_samples)
         if rotation is not None and coarse.replays:
             time = samples * self.spec.options.dt
-            q = passes.rewind_attitude(q, rotation, site.place, time, None)
+            q = passes.rewind_attitude(q, rotation, site.place, time)
             return self.method.init(params.method, initial_solution(site, q, zero, zero))
         nav = initial_solution(site, rotations.normalise(q), zero, zero)
         state = self.method.init(params.method, nav)
@@ -218,16 +217,6 @@ class RunFunctions(NamedTuple):
         assert self.method.passes is not None
         before = passes.site_of_pass(site, ~backward)
         return self.method.passes.reverse(params.method, before, state)
-
-    def rewind(self, params: RunParams, site: Site, state: Any, rotation: BodyRotation) -> Any:
-        """Return the state that starts the record again, from that at the end of a pass."""
-        reading, zero = self.method.passes, jnp.zeros_like(params.ve)
-        assert reading is not None and reading.rewind is not None
-        interval_s = self.spec.interval_samples * self.spec.options.dt
-        time = jnp.asarray(self.environment.pass_intervals, zero.dtype) * interval_s
-        bias = reading.gyro_bias and reading.gyro_bias(state)
-        q = passes.rewind_attitude(self.method.attitude(state), rotation, site.place, time, bias)
-        return reading.rewind(params.method, initial_solution(site, q, zero, zero), state)
 
     def observe(self, run: Run, q_true: Quat, floor: Scalar, n: Scalar) -> Run:
         """Return the run after its observation at an output time, that of the n-th sample.
@@ -330,25 +319,19 @@ class TileRuns(NamedTuple):
 
     def read(self, number: Count) -> PassReading:
         """Return the samples that an interval reads."""
-        every, pass_intervals = self.spec.interval_samples, self.environment.pass_intervals
-        return passes.read_interval(self.spec.passes, number, pass_intervals, every)
+        pass_intervals = self.environment.pass_intervals if self.spec.reverses else None
+        return passes.read_interval(number, pass_intervals, self.spec.interval_samples)
 
     def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
         """Return the states of methods and sensors as an interval begins, which may open a pass."""
         state, sensor_state = tile.run.state, tile.sensors
         if reading.opens_pass is None or self.one.method.passes is None:  # it has one pass
             return state, sensor_state
-        if reading.backward is not None:
-            reverse = jax.vmap(self.one.reverse, in_axes=(0, self.site_axis, 0, None))
-            changed = reverse(self.params, self.site, state, reading.backward)
-            return select_tree(reading.opens_pass, changed, state), sensor_state
-        rewind = jax.vmap(self.one.rewind, in_axes=(0, self.site_axis, 0, self.draws.run_axis))
-        changed = rewind(self.params, self.site, state, self.to_runs(sensor_state.rotation))
-        return select_tree(
-            reading.opens_pass, (changed, self.sensors.start()), (state, sensor_state)
-        )
+        reverse = jax.vmap(self.one.reverse, in_axes=(0, self.site_axis, 0, None))
+        changed = reverse(self.params, self.site, state, reading.backward)
+        return select_tree(reading.opens_pass, changed, state), sensor_state
 
-    def state_after_coarse(self, coarse_state: Any, rotation: BodyRotation | None) -> Any:
+    def state_after_coarse(self, coarse_state: Any, rotation: Quat | None) -> Any:
         """Return the states of the method as fine alignment begins."""
         after = jax.vmap(
             self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.draws.run_axis)

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from sinsjax.engine import passes
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
+from sinsjax.engine.passes import PassReading
 from sinsjax.engine.stepping import Blocks
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
-from sinsjax.methods import passes
-from sinsjax.methods.passes import BodyRotation, PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
@@ -40,14 +40,15 @@ class SensorState(NamedTuple):
         processes: states of the random processes that disturb the draw.
         housing: of the sensors; None if it does not vibrate.
         remainder: rest of the integrals after quantisation; None without.
-        rotation: of the body since the record began; None if no attitude is propagated back.
+        rotation: C_b^{b0} of the body since the record began; None if no attitude is propagated
+            back.
     """
 
     last: Increments
     processes: Disturbances
     housing: HousingState | None
     remainder: Increments | None
-    rotation: BodyRotation | None = None
+    rotation: Quat | None = None
 
 
 class SampleInputs(NamedTuple):
@@ -103,9 +104,8 @@ class DrawSensors(NamedTuple):
             if lever is not None:
                 rate, _ = base_motion.rate_and_force(whole.motion, whole.site.place, zero)
             vibrating = housing.start_housing(moving, lever, rate, zeros)
-        rotation = None
-        if self.spec.rewinds_attitude:
-            rotation = passes.initial_rotation(self.spec.program, zero)
+        replays = self.spec.coarse is not None and self.spec.coarse.replays
+        rotation = Quat(zero + 1, zero, zero, zero) if replays else None
         remainder = None if whole.errors.gyro_quantum is None else zeros
         return SensorState(zeros, begin, vibrating, remainder, rotation)
 
@@ -152,7 +152,7 @@ class DrawSensors(NamedTuple):
 
     def zero_before_record(self, n: Count, increments: Increments) -> Increments:
         """Return increments, or zeros where a backward pass reads beyond the record's beginning."""
-        if self.spec.passes != "alternate":
+        if not self.spec.reverses:
             return increments
         return select_tree(n < 0, jax.tree.map(jnp.zeros_like, increments), increments)
 
@@ -243,7 +243,7 @@ class TileSensors(NamedTuple):
             )
             samples, rotation = compensate(now, before), state.rotation
             if rotation is not None:
-                rotation = passes.accumulate_rotation(rotation, samples, self.spec.options.dt)
+                rotation = passes.accumulate_rotation(rotation, samples)
             return samples, later._replace(last=last, rotation=rotation)
 
         return Blocks(self.spec.interval_samples, size, make)

@@ -108,8 +108,8 @@ class Scenario:
             curves: whether curves are returned; None for what the study asks.
 
         Raises:
-            InputError: a record is missing or not needed, compass loops cannot be run, or double
-                precision cannot be enabled (`runtime.ensure_configured`).
+            InputError: a record is missing or not needed, or double precision cannot be enabled
+                (`runtime.ensure_configured`).
         """
         runtime.ensure_configured()
         study = study if isinstance(study, Study) else load_study(study)
@@ -121,13 +121,6 @@ class Scenario:
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_split(study))
-        for number in range(len(self.variant_ids)):
-            keys = self.keys(number)
-            if check := METHODS[keys.common("method")].check:
-                try:
-                    check(keys)
-                except InputError as error:
-                    raise error.with_source(study.name) from None
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""
@@ -217,7 +210,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     blocks = (0, 0)
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
-    reverses = study.passes is not None and not span.rewinds
+    reverses = study.passes is not None
     keeps = simulated and reverses and keys.is_active(*keys_acting_as("process", "quantum"))
     return ProgramSpec(
         method,
@@ -237,7 +230,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
         distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
         sways=simulated and _moves(keys),
         kept=_samples_read(study) if keeps else 0,
-        passes="rewind" if span.rewinds else "alternate" if study.passes is not None else "once",
+        reverses=reverses,
         coarse=_coarse_stage(study, keys),
     )
 

@@ -1,16 +1,16 @@
 """True and coarsely aligned attitudes, and the increments of ideal sensors, of whole studies."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.methods.coarse import align_analytically, align_by_program
-from sinsjax.methods.method import Options, Site
+from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
-from sinsjax.types import Array
+from sinsjax.types import Array, Navigation, Quat, Sample, Scalar
 
 _SAMPLES, _TIMES = 4000, 256
 """Samples of increments, and attitudes, per call: one program serves studies of any length."""
@@ -20,17 +20,30 @@ _SAMPLES, _TIMES = 4000, 256
 def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
     """Return coarsely aligned attitudes at the ends of parts of a record, (parts, 4).
 
-    The method is "analytic", or one that needs no initial attitude; the rows (parts, n, 6) are
-    measured increments over ``dt`` s, rad and m/s.
+    The method needs no initial attitude and no params; the rows (parts, n, 6) are measured
+    increments over ``dt`` s, rad and m/s.
     """
+    program = METHODS[method].build(Options(dt))
 
     def align(part: Array) -> Array:
         samples = sensors.compensate_record(part, part[0])
-        if method == "analytic":
-            return jnp.stack(align_analytically(samples, site, dt))
-        return jnp.stack(align_by_program(METHODS[method].build(Options(dt)), samples, site))
+        return jnp.stack(align_by_program(program, samples, site))
 
     return jax.vmap(align)(rows)
+
+
+def align_by_program(program: Program, samples: Sample, site: Site) -> Quat:
+    """Return q_nb at the end of compensated samples, leaves (n,), by a method without params."""
+    counts = 1 + jnp.arange(samples.dv.x.size, dtype=samples.dv.x.dtype)
+    zero = jnp.zeros_like(counts[0])
+    start = Navigation(Quat(zero + 1, zero, zero, zero), zero, zero, site.latitude + zero, zero)
+
+    def over_sample(state: Any, numbered: tuple[Sample, Scalar]) -> tuple[Any, None]:
+        sample, n = numbered
+        return program.step((), site, state, sample, n), None
+
+    state, _ = jax.lax.scan(over_sample, program.init((), start), (samples, counts))
+    return program.attitude(program.normalise(state))
 
 
 _increments = jax.jit(base_motion.ideal_increments, static_argnums=3)

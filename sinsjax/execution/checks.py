@@ -82,7 +82,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             batch.params.method,
             batch.n_variants,
             batch.environment.site,
-            passes=spec.passes,
+            is_reversed=spec.reverses,
         )
 
 

@@ -197,8 +197,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
     memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
     memory += _VARIANT_BYTES * variants + _RUN_BYTES * runs
-    alternates = study.passes is not None and any(not s.rewinds for s in study.distinct_spans)
-    if alternates and study.is_active(*keys_acting_as("process", "quantum")):
+    if study.passes is not None and study.is_active(*keys_acting_as("process", "quantum")):
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
         draws = min(study.n_draws, LANES * STACKED_TILES) * runtime.usable_cores()
         memory += _KEPT_BYTES * read_samples * draws
@@ -224,8 +223,7 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
 
 def _count_programs(study: Study) -> int:
     """Return the number of programs, from the swept keys that decide them, by value or by zero."""
-    kinds = {(span.records, span.rewinds) for span in study.distinct_spans}
-    count = len(kinds)
+    count = len({span.records for span in study.distinct_spans})
     for dimension in study.dimensions:
         columns = [
             values if key in PROGRAM_KEYS else map(np.any, values)

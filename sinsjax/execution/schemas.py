@@ -9,7 +9,6 @@ from sinsjax.columns import Column
 from sinsjax.methods.method import OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import key_meaning
-from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, START_KEYS, predict_settling
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
@@ -42,8 +41,6 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
         "reset_times_s": resets.map(list),
         **{(key := f"phi_{a}0_deg"): study.coded(key) for a in "enu"},
     }
-    if study.names_schedules:
-        fixed[columns.PREDICTED.name] = _predicted_settling(study)
     swept = {key: study.coded(key) for key in study.axis_keys}
     kinds = {c.name: c.dtype for c in schema}
     return {
@@ -51,15 +48,6 @@ def variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Arra
         for name, column in (swept | fixed).items()
         if name not in study.drawn_keys
     }
-
-
-def _predicted_settling(study: Study) -> CodedColumn:
-    """Return the predicted settling time of each variant, s; None where nothing is predicted."""
-    keys = [key for key in (*LAW_KEYS, *DERIVED, *START_KEYS) if study.is_readable(key)]
-    missing = dict.fromkeys((*LAW_KEYS, *DERIVED))
-    codes, choices = study.coded(*keys)
-    points = [missing | dict(zip(keys, values, strict=True)) for values in choices]
-    return CodedColumn(codes, tuple(predict_settling(study.rate_hz, study.run_s, points)))
 
 
 def _to_array(column: CodedColumn, dtype: pa.DataType) -> pa.Array:
@@ -75,7 +63,6 @@ def _key_columns(study: Study) -> list[Column]:
     known = {c.name for c in columns.IDENTITY}
     swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
     return [
-        *((columns.PREDICTED,) if study.names_schedules else ()),
         *(columns.axis_column(k, v, key_meaning(k)) for k, v in swept.items() if k not in known),
         *(
             columns.drawn_column(k, 1 if NUMBERS_DRAWN[k] == 1 else 2, key_meaning(k))

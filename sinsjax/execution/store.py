@@ -175,28 +175,25 @@ class DirectoryStore:
         self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
 
 
-def write_table(job: Job, summary: pa.Table, draws: range, **facts: Any) -> None:
+def write_table(job: Job, summary: pa.Table) -> None:
     """Write a summary that was made elsewhere as the results of a job.
 
     Args:
         job: job with a directory, without curves.
         summary: one row per run, with the columns of the study's summary.
-        draws: the draws that it has; the study is unfinished without the others.
-        facts: further entries of the manifest.
 
     Raises:
         InputError: the directory cannot be written, has another writer, or had one since the job
             was prepared.
     """
     rows = (("summary", len(summary)),)
-    task = Task("part-0000-000000", 0, (draws.start, draws.stop), 0, len(summary), rows)
+    task = Task("part-0000-000000", 0, (0, job.study.n_draws), 0, len(summary), rows)
     content = to_sealed_parquet(summary, part_metadata(job, job.identity, "summary", task))
     store = DirectoryStore(job, runtime.describe_environment())
     try:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))
-        whole = draws == range(job.study.n_draws)
-        store.finish("complete" if whole else "interrupted", **facts)
+        store.finish("complete")
     finally:
         store.unlock()
 

@@ -4,131 +4,160 @@ Without covariance: velocity and its integral level the platform ([P2] Fig. 1, t
 the north velocity that a heading error causes through the Earth rate rotates it in azimuth ([P2]
 Fig. 2, fourth order). The east channel levels throughout.
 
-The transport rate is part of the mechanisation; the loops add K2 times that rate, which gives the
-1 + K2 of the characteristic polynomials of `compass_design`.
+Gains are designed from a decay rate sigma (> 0, 1/s) and a damping ratio xi (0 < xi <= 1): the
+complex roots are -sigma +- j omega_d with xi = sigma / sqrt(sigma^2 + omega_d^2). The transport
+rate is part of the mechanisation; the loops add K2 times that rate, so they see (1 + K2)/R dV, and
+their characteristic polynomials are, [P2] eqs (16) and (21),
+
+    s^3 + K1 s^2 + (1 + K2) (g/R) s + g K3,    s (s + K4) (s^2 + K1 s + (1 + K2) g/R) + g K3.
+
+Nothing keeps given gains stable: runs of an unstable loop diverge.
 """
 
 import math
-from itertools import combinations
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field
 
 from sinsjax.maths import rotations
-from sinsjax.methods import compass_design as loops
-from sinsjax.methods.compass_design import AzimuthGains, LevelGains
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
-from sinsjax.methods.method import Method, Options, Passes, Program, RunEnd, Site, StudyKeys
+from sinsjax.methods.method import Method, Options, Passes, Program, Site, StudyKeys
 from sinsjax.methods.schedules import PiecewiseConstant, value_at
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Sample, Scalar, Vec3
 from sinsjax.value_types import (
     Bandwidth,
-    Count,
     Damping,
     Factors,
     Finite,
     KeyCondition,
     KeyInfo,
-    PassNumbers,
-    Seconds,
     SecondsOrZero,
     Section,
     Times,
     field,
 )
 
-_LOOPS, _SETTINGS = ("level", "azimuth"), ("gains", "adjustment_s", "sigma_per_s")
-_ADJUSTMENTS = tuple(f"{loop}_adjustment_s" for loop in _LOOPS)
+PAPER_DAMPING = math.sqrt(0.5)
+"""The damping ratio of [P2] section 3.1."""
+
+_LOOPS = ("level", "azimuth")
 _GAIN = KeyInfo(usual_range=(-1e11, 1e11))
 
 
 class CompassSection(Section):
     """[compass]: levelling and azimuth loops, and their gain schedule."""
 
-    exclusive = (
-        *((f"{loop}_{a}", f"{loop}_{b}") for loop in _LOOPS for a, b in combinations(_SETTINGS, 2)),
-        ("level_passes", "level_time_s"),
-        ("sigma_passes", "sigma_times_s"),
-    )
-    conditions = (
-        KeyCondition(("level_damping",), ("level_gains",), lambda k: k is None, refused=True),
-        KeyCondition(("azimuth_damping",), ("azimuth_gains",), lambda k: k is None, refused=True),
-        KeyCondition(("adjustment_reading",), _ADJUSTMENTS, lambda *times_s: any(times_s)),
-        KeyCondition(
-            ("adjustment_remainder",),
-            ("adjustment_reading", *_ADJUSTMENTS),
-            lambda reading, *times_s: reading == "settling" and any(times_s),
-        ),
+    exclusive = tuple((f"{loop}_gains", f"{loop}_sigma_per_s") for loop in _LOOPS)
+    conditions = tuple(
+        KeyCondition((f"{loop}_damping",), (f"{loop}_gains",), lambda k: k is None, refused=True)
+        for loop in _LOOPS
     )
 
     level_sigma_per_s: Bandwidth | None = field(
         "decay rate sigma of the levelling loop", default=0.02
     )
-    level_adjustment_s: Seconds | None = field(
-        "alternative to level_sigma_per_s: see adjustment_reading"
-    )
     level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = field(
         "gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport rates),"
         " velocity integral K3 (rad/(m s))"
     )
-    level_damping: Damping = field("damping ratio of the levelling loop", loops.PAPER_DAMPING)
+    level_damping: Damping = field("damping ratio of the levelling loop", PAPER_DAMPING)
     level_time_s: SecondsOrZero | None = field(
         "levelling of both channels before the azimuth loop", default=150.0, time="s"
     )
-    level_passes: Annotated[Count, Field(ge=1)] | None = field(
-        "levelling time in passes; alternative to level_time_s", time="pass"
-    )
     azimuth_sigma_per_s: Bandwidth | None = field(
         "decay rate sigma of the azimuth loop", default=0.01
-    )
-    azimuth_adjustment_s: Seconds | None = field(
-        "alternative to azimuth_sigma_per_s: see adjustment_reading"
     )
     azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = field(
         "gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4 (1/s) of the"
         " azimuth control K3 / (omega_N (s + K4))"
     )
-    azimuth_damping: Damping = field("damping ratio of the azimuth loop", loops.PAPER_DAMPING)
-    adjustment_reading: Literal["period", "settling"] = field(
-        "adjustment time. 'period': of the damped oscillation. 'settling': until exp(-sigma t)"
-        " falls to adjustment_remainder",
-        "period",
-    )
-    adjustment_remainder: Annotated[float, Field(gt=0, lt=1)] = field(
-        "exp(-sigma t) after 'settling'", 0.05
-    )
+    azimuth_damping: Damping = field("damping ratio of the azimuth loop", PAPER_DAMPING)
     sigma_factors: Factors = field(
         "factors on the azimuth sigma in intervals, the first from the start", (1.0,)
     )
-    sigma_times_s: Times | None = field(
-        "start times of the later intervals of sigma_factors", whole="sample", time="s"
-    )
-    sigma_passes: PassNumbers | None = field(
-        "passes before the later intervals; alternative to sigma_times_s", time="pass"
-    )
-    allow_unstable: bool = field(
-        "whether to run loops that are unstable, or too fast for the sample time", False
+    sigma_times_s: Times = field(
+        "start times of the later intervals of sigma_factors", (), whole="sample", time="s"
     )
 
 
 def check_sigma_factors(study: StudyKeys) -> None:
-    """Refuse sigma factors without as many times, and numbers of passes without a stored record."""
-    if not study.has("compass"):
-        return
-    for point in study.combinations("sigma_factors", "sigma_times_s", "sigma_passes"):
-        needed = len(point["sigma_factors"]) - 1
-        key = "sigma_passes" if point["sigma_passes"] is not None else "sigma_times_s"
-        if (given := len(point[key] or ())) != needed:
-            study.refuse(key, f"needs {needed} entries for {needed + 1} sigma_factors, not {given}")
-    stored = study.combinations("stored_s") if study.has("passes") else [{"stored_s": None}]
-    has_stored = all(point["stored_s"] is not None for point in stored)
-    for key in ("level_passes", "sigma_passes"):
-        if not has_stored and any(p[key] is not None for p in study.combinations(key)):
-            study.refuse(key, "needs passes over a stored record (give [passes] stored_s)")
+    """Refuse sigma factors without as many times."""
+    for point in (
+        study.combinations("sigma_factors", "sigma_times_s") if study.has("compass") else ()
+    ):
+        needed, given = len(point["sigma_factors"]) - 1, len(point["sigma_times_s"])
+        if given != needed:
+            text = f"needs {needed} entries for {needed + 1} sigma_factors, not {given}"
+            study.refuse("sigma_times_s", text)
+
+
+# Design
+
+
+Number: TypeAlias = Any
+"""A float, a NumPy array, or a traced number."""
+
+
+class LevelGains(NamedTuple):
+    """Gains of a levelling loop, [P2] Fig. 1: w_c = K2/R dV + K3 (integral of dV).
+
+    Attributes:
+        k1: velocity damping, 1/s.
+        k2: of the platform rate from the velocity, in units of the transport rate 1/R.
+        k3: of the platform rate from the integral of the velocity, rad/(m s).
+    """
+
+    k1: Number
+    k2: Number
+    k3: Number
+
+
+class AzimuthGains(NamedTuple):
+    """Gains of the azimuth loop, [P2] Fig. 2: w_cU = K(s) dV_N, K(s) = K3 / (omega_N (s + K4)).
+
+    Attributes:
+        k1: as of `LevelGains`, likewise ``k2``.
+        k3: of the azimuth acceleration from the velocity, times omega_N, 1/(m s^2).
+        k4: of the lag in K(s), 1/s.
+    """
+
+    k1: Number
+    k2: Number
+    k3: Number
+    k4: Number
+
+
+def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Number) -> LevelGains:
+    """Return the gains that put the roots at -sigma and -sigma +- j omega_d, [P2] eqs (17), (18).
+
+    K1 = 3 sigma, K2 = sigma^2 (2 + 1/xi^2) R/g - 1, K3 = sigma^3 / (g xi^2), for gravity g in
+    m/s^2 and the radius R of the transport rate in m. All numbers broadcast, and may be traced.
+    """
+    inverse_square = damping**-2
+    k2 = sigma**2 * (2 + inverse_square) * radius / gravity - 1
+    return LevelGains(3 * sigma, k2, sigma**3 * inverse_square / gravity)
+
+
+def azimuth_gains(
+    sigma: Number, damping: Number, *, gravity: Number, radius: Number
+) -> AzimuthGains:
+    """Return gains with K1 = K4 and double roots at -sigma +- j omega_d, [P2] eqs (22) and (23).
+
+    K1 = K4 = 2 sigma, K2 = 2 W R/g - 1, K3 = W^2/g with W = sigma^2/xi^2. The paper has only
+    xi = sqrt(1/2): K2 = 4 sigma^2 R/g - 1, K3 = 4 sigma^4/g.
+    """
+    square = (sigma / damping) ** 2
+    k2 = 2 * square * radius / gravity - 1
+    return AzimuthGains(2 * sigma, k2, square**2 / gravity, 2 * sigma)
+
+
+def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
+    """Return gains whose roots lie a factor > 0 further out: sigma times the pace, xi kept."""
+    k1, k2, k3, k4 = gains
+    return AzimuthGains(pace * k1, pace**2 * (1 + k2) - 1, pace**4 * k3, pace * k4)
 
 
 # Numbers of the loops
@@ -189,17 +218,8 @@ class LoopParams(NamedTuple):
 def params(keys: StudyKeys, xp: Any) -> LoopParams:
     """Return the params of the loops, leaves (variants,)."""
     rate, passes = keys.rate_hz, keys.has("passes")
-    stored = ("stored_s",) if passes else ()
-
-    def level_s(time_s: Any, number: int | None, stored_s: Any = math.nan) -> Any:
-        return time_s if number is None else number * stored_s
-
-    def change_times_s(times_s: Any, numbers: Any, stored_s: Any = math.nan) -> tuple[Any, ...]:
-        return times_s or () if numbers is None else tuple(n * stored_s for n in numbers)
-
-    times_s = keys.lists(change_times_s, "sigma_times_s", "sigma_passes", *stored, padding=np.inf)
+    times_s = keys.lists(list, "sigma_times_s", padding=np.inf)
     factors = keys.lists(list, "sigma_factors", padding=1.0)
-    levelling_s = keys.compute(level_s, "level_time_s", "level_passes", *stored)
     smoothing_s = keys.column("turn_smoothing_s") if passes else np.ones(keys.count)
     reversal = keys.compute(REVERSALS.__getitem__, "turn").T if passes else REVERSALS["keep"]
     level, azimuth = gains(keys, xp)
@@ -207,76 +227,29 @@ def params(keys: StudyKeys, xp: Any) -> LoopParams:
         level=level,
         azimuth=azimuth,
         pace=PiecewiseConstant(xp.round(times_s * rate), factors),
-        azimuth_from=xp.round(levelling_s * rate),
+        azimuth_from=xp.round(keys.column("level_time_s") * rate),
         smoothing=-xp.expm1(-2 / (rate * smoothing_s)),  # two stages share the delay
         reversal=Reversal(*(np.broadcast_to(factor, keys.count) for factor in reversal)),
     )
 
 
 def gains(keys: StudyKeys, xp: Any) -> tuple[LevelGains, AzimuthGains]:
-    """Return the gains of the loops: as given, or designed from sigma or adjustment time, damping.
+    """Return the gains of the loops: as given, or designed from sigma and damping.
 
     For the north channel; on an ellipsoid the east one differs in its K2 by some 0.1 %.
     """
+    place = keys.site.place
+    earth = {"gravity": float(place.gravity), "radius": float(1 / place.curvature_n)}
 
     def of_loop(loop: str, design: Any) -> Any:
-        damping, time_s = keys.column(f"{loop}_damping"), keys.column(f"{loop}_adjustment_s")
-        adjusted = xp.where(
-            keys.compute(lambda reading: reading == "settling", "adjustment_reading", dtype=bool),
-            loops.sigma_from_settling(time_s, keys.column("adjustment_remainder"), xp),
-            loops.sigma_from_period(time_s, damping),
-        )
-        sigma = keys.column(f"{loop}_sigma_per_s")
-        sigma = xp.where(xp.isnan(sigma), adjusted, sigma)
-        designed = design(sigma, damping, **_earth(keys.site))
+        sigma, damping = keys.column(f"{loop}_sigma_per_s"), keys.column(f"{loop}_damping")
+        designed = design(sigma, damping, **earth)
         none = [math.nan] * len(designed)
         given = keys.compute(lambda found: none if found is None else found, f"{loop}_gains")
         rows = xp.where(xp.isnan(given), xp.stack(designed, axis=-1), given)
         return type(designed)(*rows.T)
 
-    return of_loop("level", loops.level_gains), of_loop("azimuth", loops.azimuth_gains)
-
-
-def _earth(site: Site) -> dict[str, float]:
-    """Return gravity and radius, as `compass_design` reads them."""
-    return {"gravity": float(site.place.gravity), "radius": float(1 / site.place.curvature_n)}
-
-
-def check(keys: StudyKeys) -> None:
-    """Refuse loops that are unstable or too fast for the sample, unless allowed; name the roots."""
-    refused = ~keys.compute(bool, "allow_unstable", dtype=bool)
-    earth, dt = _earth(keys.site), 1 / keys.rate_hz
-    with np.errstate(over="ignore", invalid="ignore"):
-        level, azimuth = gains(keys, np)
-        azimuth = loops.scale_azimuth_gains(azimuth, keys.compute(max, "sigma_factors"))
-    for loop, found in zip(_LOOPS, (level, azimuth), strict=True):
-        for row in np.flatnonzero(~np.isfinite(np.stack(found)).all(axis=0)):
-            _refuse_loop(keys, loop, int(row), "gives a gain that is no finite number")
-    too_fast = f"a loop that a sample of {dt:g} s cannot carry"
-    matrices = loops.level_matrix(level, **earth), loops.azimuth_matrix(azimuth, **earth)
-    for loop, matrix in zip(_LOOPS, matrices, strict=True):
-        roots = loops.roots(matrix)
-        unstable = roots.real.max(axis=-1) >= 0
-        for row in np.flatnonzero(refused & (unstable | ~loops.is_stable(matrix, dt))):
-            what = "an unstable loop" if unstable[row] else too_fast
-            text = f"makes {what}, its roots are {_format_roots(roots[row])} 1/s"
-            _refuse_loop(keys, loop, int(row), f"{text} (allow_unstable = true runs it)")
-
-
-def _refuse_loop(keys: StudyKeys, loop: str, row: int, text: str) -> None:
-    """Refuse a variant's loop, naming the key that sets its gains, and the value."""
-    names = [f"{loop}_{setting}" for setting in _SETTINGS]
-    key, value = next((k, v) for k in names if (v := keys.value(k, row)) is not None)
-    shown = list(value) if isinstance(value, tuple) else f"{value:g}"
-    factor = max(keys.value("sigma_factors", row))
-    if loop == "azimuth" and factor != 1:
-        shown = f"{shown} with a sigma factor of {factor:g}"
-    keys.refuse(key, f"{shown} {text}")
-
-
-def _format_roots(found: np.ndarray) -> str:
-    ordered = sorted(found, key=lambda r: (-round(r.real, 9), r.imag))
-    return ", ".join(f"{r.real + 0.0:.4g}{f'{r.imag:+.4g}j' if r.imag else ''}" for r in ordered)
+    return of_loop("level", level_gains), of_loop("azimuth", azimuth_gains)
 
 
 # A run
@@ -319,7 +292,7 @@ def build(options: Options) -> Program:
         params: LoopParams, site: Site, state: LoopState, sample: Sample, n: Scalar
     ) -> LoopState:
         before, place, level = state.nav, options.place(site, state.nav), params.level
-        azimuth = loops.scale_azimuth_gains(params.azimuth, value_at(params.pace, n))
+        azimuth = scale_azimuth_gains(params.azimuth, value_at(params.pace, n))
         levelling = n <= params.azimuth_from  # of the north channel
         k1, k2 = (jnp.where(levelling, *pair) for pair in zip(level[:2], azimuth[:2], strict=True))
         # In addition to w_in, rad/s in n.
@@ -346,7 +319,7 @@ def build(options: Options) -> Program:
         step=step,
         attitude=lambda state: state.nav.q,
         floor=_bias_floor,
-        passes=Passes(reverse=_reverse, rewind=_rewind),
+        passes=Passes(_reverse),
     )
 
 
@@ -358,13 +331,6 @@ def _init(params: LoopParams, nav: Navigation) -> LoopState:
 def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
     once = low.once + share * (value - low.once)
     return LowPassed(once, low.twice + share * (once - low.twice))
-
-
-def _rewind(params: LoopParams, nav: Navigation, state: LoopState) -> LoopState:
-    """Start again, but keep levelling integrals and azimuth rate, which balance gyro drift."""
-    return _init(params, nav)._replace(
-        integral_e=state.integral_e, integral_n=state.integral_n, rate_u=state.rate_u
-    )
 
 
 def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
@@ -388,19 +354,21 @@ def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
     )
 
 
-def _bias_floor(params: LoopParams, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+def _bias_floor(
+    params: LoopParams, place: Place, biases: MeanBiases, n: Scalar, backward: Flag
+) -> BiasFloor:
     """Return the floor of biases attributed to the Earth, plus a lag, since K(s) leaks.
 
     The platform rate that cancels eps_U needs a constant north velocity, whose transport rate has
     the effect of the level rate of a heading error: (1 + K2) K4 eps_U / (R K3) of omega_N, which is
     2 eps_U/sigma for the gains of [P2] eq. (23). Its sign changes in a backward pass.
     """
-    gains = loops.scale_azimuth_gains(params.azimuth, value_at(params.pace, end.n))
+    gains = scale_azimuth_gains(params.azimuth, value_at(params.pace, n))
     eps = biases.eps
     lag = (1 + gains.k2) * gains.k4 * place.curvature_n * eps.z / gains.k3
     felt = jnp.hypot(eps.x, place.rate_n + eps.y)
     lag = jnp.arcsin(jnp.clip(lag * place.rate_n / felt, -1.0, 1.0))
-    return bias_floor(place, biases, jnp.where(end.backward, lag, -lag))
+    return bias_floor(place, biases, jnp.where(backward, lag, -lag))
 
 
 COMPASS = Method(
@@ -411,7 +379,6 @@ COMPASS = Method(
     reads=("turn", "turn_smoothing_s"),
     build=build,
     params=params,
-    check=check,
     rules=(check_sigma_factors,),
     turning="none",
     step_s=5e-9,

@@ -28,20 +28,9 @@ force, weight 1 - tau^2, tau from -1 to 1 over the interval. The weight makes it
 the Earth's turn, the least squares fit of all integrated velocities with the initial velocity
 unknown: what the base still moves by at the two ends hardly enters. Davenport's q-method on them
 differs by under 0.0005 deg on the record below. White accelerometer noise of standard deviation s a
-sample leaves a yaw error of sqrt(30/7/n) 2 s / (g omega_N T) over T = n dt. The choice, by yaw
-error in deg: 60 s from 0, 30, ..., 330 s of a laser-gyro record on a disturbed parked vehicle,
-against a smoother on the same record; and [P1]'s swing and sensor noise, 100 draws of 60 s:
-
-| Method | Vehicle, median | Vehicle, largest | [P1], rms |
-|---|---|---|---|
-| this | 0.026 | 0.20 | 0.39 |
-| weight (1 - tau^2)^2: position fit | 0.033 | 0.29 | 0.49 |
-| no weight: specific force fit | 0.21 | 0.59 | 0.31 |
-| q-method, velocities from 0 | 0.21 | 0.50 | 0.37 |
-| the same, unit vectors | 3.1 | 5.5 | 0.69 |
-| TRIAD, velocities at T/2 and T | 0.38 | 0.73 | 0.36 |
-| TRIAD, positions at T/2 and T | 0.46 | 0.85 | 0.48 |
-| `coarse.align_analytically` | 14 | 64 | 68 |
+sample leaves a yaw error of sqrt(30/7/n) 2 s / (g omega_N T) over T = n dt. Over 60 s of a
+laser-gyro record on a disturbed parked vehicle the median yaw error is 0.026 deg, without the
+weight 0.21 deg, and of the mean force and the mean rate 14 deg.
 """
 
 from collections.abc import Callable
@@ -54,11 +43,17 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Triangle, add, cross, dot, scale, select_tree, triangle_index
-from sinsjax.methods.coarse import ZERO, earth_rate, triad_attitude
 from sinsjax.methods.filters.attitude import rotation_about_vertical
 from sinsjax.methods.method import Method, Options, Program, Site, normalise_solution
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
+
+_ZERO = Vec3(0.0, 0.0, 0.0)
+
+
+def earth_rate(place: Place) -> Vec3:
+    """Return w_ie in n, rad/s."""
+    return Vec3(jnp.zeros_like(place.rate_n), place.rate_n, place.rate_u)
 
 
 class Fit(NamedTuple):
@@ -146,7 +141,35 @@ def _fit_mean_and_slope(sums: ForceSums, count: Scalar) -> Quat:
     return triad_attitude(weigh(sums.measured), weigh(sums.expected))
 
 
-_FORCE_FIT = Fit(ForceSums((ZERO,) * 3, (ZERO,) * 3), _add_force, _fit_mean_and_slope)
+def triad_attitude(body: Array, n: Array) -> Quat:
+    """Return q_nb by TRIAD from two vectors (2, 3) known in b and in n; the first is met exactly.
+
+    Lengths do not matter. The row of q q' with the largest diagonal element gives q without
+    cancellation at any attitude.
+    """
+    c = _triad(n) @ _triad(body).T
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = c
+    outer = jnp.array(
+        [
+            [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz],
+        ]
+    )
+    row = outer[jnp.argmax(jnp.diagonal(outer))]
+    return Quat(*row / jnp.sqrt(row @ row))
+
+
+def _triad(vectors: Array) -> Array:
+    """Return orthonormal axes as columns: along the first vector, normal to both, the third."""
+    first = vectors[0] / jnp.sqrt(vectors[0] @ vectors[0])
+    normal = jnp.cross(first, vectors[1])
+    normal = normal / jnp.sqrt(normal @ normal)
+    return jnp.stack([first, normal, jnp.cross(first, normal)], axis=1)
+
+
+_FORCE_FIT = Fit(ForceSums((_ZERO,) * 3, (_ZERO,) * 3), _add_force, _fit_mean_and_slope)
 
 
 def reaction_velocity(place: Place, t: Scalar) -> Vec3:
@@ -217,11 +240,11 @@ def _fit_positions(sums: PositionSums, count: Scalar) -> Quat:
     return _solve_wahba(_add_pair(sums.pairs, b, a, -squares))
 
 
-_NO_PAIRS = PairSums((ZERO, ZERO, ZERO), 0.0)
+_NO_PAIRS = PairSums((_ZERO, _ZERO, _ZERO), 0.0)
 _VELOCITY_FIT = Fit(
-    VelocitySums(ZERO, _NO_PAIRS), _add_velocity, lambda sums, count: _solve_wahba(sums.pairs)
+    VelocitySums(_ZERO, _NO_PAIRS), _add_velocity, lambda sums, count: _solve_wahba(sums.pairs)
 )
-_POSITION_FIT = Fit(PositionSums(*(ZERO,) * 5, _NO_PAIRS), _add_position, _fit_positions)
+_POSITION_FIT = Fit(PositionSums(*(_ZERO,) * 5, _NO_PAIRS), _add_position, _fit_positions)
 
 
 def _solve_wahba(sums: PairSums) -> Quat:

@@ -22,7 +22,7 @@ from sinsjax.maths.rotations import from_euler
 from sinsjax.methods import method
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.strapdown.earth import Place
-from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.value_types import AccelSigma, Section, field
 
 CORRELATION_S = 1.0
@@ -96,7 +96,9 @@ def _attitude(state: LevelState) -> Quat:
     return select_tree(seen, from_euler(pitch, roll, jnp.zeros_like(pitch)), state.nav.q)
 
 
-def _bias_floor(params: Any, place: Place, biases: MeanBiases, end: method.RunEnd) -> BiasFloor:
+def _bias_floor(
+    params: Any, place: Place, biases: MeanBiases, n: Scalar, backward: Flag
+) -> BiasFloor:
     floor = bias_floor(place, biases)
     return floor._replace(no_north=jnp.ones_like(floor.no_north))  # no run finds it
 

@@ -19,7 +19,7 @@ from sinsjax.methods import floors
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.strapdown import earth
 from sinsjax.strapdown.earth import Earth, Place
-from sinsjax.types import Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.types import Count, Flag, Navigation, Quat, Sample, Scalar
 from sinsjax.value_types import Section
 
 INITIAL_KEYS = (
@@ -75,15 +75,9 @@ class Options(NamedTuple):
 
 
 class AttitudeCovariance(NamedTuple):
-    """Covariance of the misalignment, upper triangle row by row; NaN for methods without one.
+    """Covariance of the misalignment about east, north and up, rad^2; NaN for methods without one.
 
-    Attributes:
-        ee: variance about east, rad^2.
-        en: covariance about east and north, rad^2.
-        eu: covariance about east and up, rad^2.
-        nn: variance about north, rad^2.
-        nu: covariance about north and up, rad^2.
-        uu: variance about up, that of the heading, rad^2.
+    Its upper triangle row by row: ``ee`` is the variance about east, ``uu`` that of the heading.
     """
 
     ee: Scalar
@@ -102,18 +96,6 @@ def unknown_covariance(like: Scalar) -> AttitudeCovariance:
     """Return NaN of the given number's type and shape, for a method without a covariance."""
     unknown = jnp.full_like(like, jnp.nan)
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
-
-
-class RunEnd(NamedTuple):
-    """The end of a run.
-
-    Attributes:
-        n: number of its last sample.
-        backward: whether the last sample is of a backward pass.
-    """
-
-    n: Scalar
-    backward: Flag
 
 
 class Feedback(NamedTuple):
@@ -139,19 +121,12 @@ class Passes(NamedTuple):
     Attributes:
         reverse: (params, site, state) -> state after a direction reversal; the site is that of the
             pass that ends.
-        rewind: (params, navigation, state) -> state that starts the record again, from its first
-            solution, propagated back from the state at its end; None if the method reads a
-            record once.
         begin_after: (first state, n) -> the same with sample n + 1 as its first; None if
             the state does not count samples.
-        gyro_bias: state -> estimated gyro bias in b, rad/s, which is removed from the stored
-            samples as the attitude is propagated back; None if the method estimates none.
     """
 
     reverse: Callable[[Any, Site, Any], Any]
-    rewind: Callable[[Any, Navigation, Any], Any] | None = None
     begin_after: Callable[[Any, Scalar], Any] | None = None
-    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 class BlockFit(NamedTuple):
@@ -178,7 +153,9 @@ def normalise_solution(state: Any) -> Any:
     return state._replace(nav=state.nav._replace(q=rotations.normalise(state.nav.q)))
 
 
-def bias_floor(params: Any, place: Place, biases: MeanBiases, end: RunEnd) -> BiasFloor:
+def earth_floor(
+    params: Any, place: Place, biases: MeanBiases, n: Scalar, backward: Flag
+) -> BiasFloor:
     """Return the floor of a method that attributes the effect of constant biases to the Earth."""
     return floors.bias_floor(place, biases)
 
@@ -193,8 +170,9 @@ class Program(NamedTuple):
         attitude: state -> best attitude: the solution's with the estimated misalignment removed.
         normalise: state -> state with its quaternions scaled to unit length.
         covariance: state -> `AttitudeCovariance` of that attitude; None if the method has none.
-        floor: (params, place, biases, `RunEnd`) -> `BiasFloor` left by constant sensor biases; the
-            place is that of a forward pass. None if it is not known.
+        floor: (params, place, biases, n, backward) -> `BiasFloor` left by constant sensor biases
+            after the n-th sample, the last of a run, in a forward or backward pass; the place is
+            that of a forward pass. None if it is not known.
         results: (site, state) -> basis of the method's own result columns at the end of a run, see
             `OwnColumn`; None if the method has none.
         shares_covariance: whether the covariance depends on params and n alone, so that runs that
@@ -209,7 +187,7 @@ class Program(NamedTuple):
     attitude: Callable[[Any], Quat]
     normalise: Callable[[Any], Any] = normalise_solution
     covariance: Callable[[Any], AttitudeCovariance] | None = None
-    floor: Callable[[Any, Place, MeanBiases, RunEnd], BiasFloor] | None = bias_floor
+    floor: Callable[[Any, Place, MeanBiases, Scalar, Flag], BiasFloor] | None = earth_floor
     results: Callable[[Site, Any], Any] | None = None
     shares_covariance: bool = False
     feedback: Feedback | None = None
@@ -274,7 +252,6 @@ class Method:
         without_effect: keys of its sections that change nothing.
         columns: its own result columns.
         rules: check the rules between its keys, see `StudyKeys.refuse`.
-        check: (`StudyKeys`) refuses numbers that cannot be run; None if all can.
         needs_start: whether it starts from an attitude and a velocity, and can read a record
             repeatedly; if not, the keys of a start change nothing.
         finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
@@ -299,7 +276,6 @@ class Method:
     without_effect: tuple[str, ...] = ()
     columns: tuple[OwnColumn, ...] = ()
     rules: tuple[Callable[[StudyKeys], None], ...] = ()
-    check: Callable[[StudyKeys], None] | None = None
     needs_start: bool = True
     finds_heading: bool = True
     gyro_bias_keys: tuple[tuple[str, str], ...] = ()

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn
 
 from sinsjax.errors import InputError
+from sinsjax.messages import first_error_line
 from sinsjax.methods.azimuth import EKF_AZIMUTH, UNSCENTED
 from sinsjax.methods.compass import COMPASS
 from sinsjax.methods.gravity_fit.method import GRAVITY_FIT
@@ -19,7 +20,6 @@ from sinsjax.methods.inertial_frame import INERTIAL, OPTIMISATION, OPTIMISATION_
 from sinsjax.methods.invariant import INVARIANT
 from sinsjax.methods.level import LEVEL
 from sinsjax.methods.method import Method, Options, Program
-from sinsjax.methods.plugins import describe_error, package_label
 from sinsjax.methods.sincos import SINCOS
 from sinsjax.methods.surge import SURGE
 from sinsjax.methods.zero_velocity import KALMAN5, KALMAN10
@@ -66,18 +66,15 @@ def _refuse_clash(method: Method, taken: Mapping[str, type[Section]]) -> None:
 def add_plugins() -> None:
     """Add the methods of plug-ins; none replaces another."""
     for point in runtime.method_entry_points():
+        package = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
         try:
             method = point.load()
             add_method(method)
         except (Exception, SystemExit) as error:  # anything that the code of others raises
-            reason = str(error)
-            if not isinstance(error, InputError):
-                reason = f"cannot be loaded ({describe_error(error, point)})"
-            source = f"entry point {point.name!r} in {point.group}{package_label(point)}"
-            BROKEN[point.name] = f"{source}: {reason}"
-            continue
-        if point.dist is not None:
-            PACKAGES[method.name] = point.dist.name, point.dist.version
+            source = f"entry point {point.name!r} in {point.group} of {' '.join(package)}"
+            BROKEN[point.name] = f"{source}: {type(error).__name__}: {first_error_line(error)}"
+        else:
+            PACKAGES[method.name] = package
 
 
 def drop_clashing_plugins(reserved: Mapping[str, type[Section]]) -> None:
@@ -105,18 +102,18 @@ def _refuse_run(*arguments: Any) -> NoReturn:
     raise InputError("a program outside sinsjax cannot be run here (`sinsjax score` compares it)")
 
 
-def _made_elsewhere(options: Options) -> Program:
-    return Program(_refuse_run, _refuse_run, _refuse_run, covariance=_refuse_run)
+_REFUSED = Program(_refuse_run, _refuse_run, _refuse_run, covariance=_refuse_run)
 
 
 def register_external(
-    names: Iterable[str], build: Callable[[Options], Program] = _made_elsewhere
+    names: Iterable[str], build: Callable[[Options], Program] | None = None
 ) -> None:
     """Make programs outside sinsjax known as methods, as a study with their results needs.
 
     Args:
         names: of the programs.
-        build: builds the `Program` in whose place their attitudes are judged.
+        build: builds the `Program` in whose place their attitudes are judged; None for one that
+            cannot be run.
 
     Raises:
         InputError: a name is that of a method of sinsjax.
@@ -124,13 +121,13 @@ def register_external(
     for name in names:
         if name in METHODS and not METHODS[name].is_external:
             raise InputError(f"{name!r} is a method of sinsjax (give the program another name)")
-        if name in METHODS and build is _made_elsewhere:
+        if build is None and name in METHODS:
             continue  # a study with its results is loaded again
         METHODS[name] = Method(
             name,
             "a program outside sinsjax, whose results were scored",
             "`sinsjax score`",
-            build,
+            build or (lambda options: _REFUSED),
             without_effect=("position",),
             is_external=True,
         )

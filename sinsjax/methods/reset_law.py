@@ -36,13 +36,13 @@ _LEVELLING = 300.0
 
 _EARLY_RESETS = 3
 """Early resets with the measured force; a single one with the force of gravity. Two are enough once
-P0 of velocity is open, 1 m/s, see `reset_prediction`."""
+P0 of velocity is open, 1 m/s."""
 
 _LAG_SHARE, _LAG_TAUS = 0.45, 1.2
 """Lag before a slow feedback, as a share of its interval and in tau, the smaller one."""
 
-_SAFE_SIGMAS, MEDIAN_SIGMAS = 2.0, 0.75
-"""1 sigma by which noise narrows the band, for a schedule and to predict a median."""
+_SAFE_SIGMAS = 2.0
+"""1 sigma by which noise narrows the band."""
 
 _LARGE_ERROR = 1.0
 """Heading bound above which a second segment is worth having even if the sum says no, rad."""

@@ -18,10 +18,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
-from numpy.typing import NDArray
 
-from sinsjax.columns import column
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
 from sinsjax.methods.filters.attitude import (
@@ -29,20 +26,17 @@ from sinsjax.methods.filters.attitude import (
     rotation_from_tilt,
     shortest_rotation,
 )
-from sinsjax.methods.filters.keys import BIAS_KEYS, DIRECTION, FILTER_COLUMNS, LEVEL, VELOCITY
+from sinsjax.methods.filters.keys import BIAS_KEYS, DIRECTION, LEVEL, VELOCITY
 from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, initial_state
 from sinsjax.methods.filters.params import filter_method
 from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
     Options,
-    OwnColumn,
-    Site,
 )
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Flag, Navigation, Quat, Scalar, Vec3
-from sinsjax.units import DEG_PER_H
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
@@ -78,9 +72,7 @@ def build_filter(options: Options) -> Filter:
         misalignment=_misalignment,
         attitude=_attitude,
         covariance=_covariance,
-        extra_results=_north_drift,
         shares_covariance=options.position == "fixed",
-        keep=_keep_amplitude,
     )
 
 
@@ -105,18 +97,8 @@ def transition(place: Place, dt: Scalar) -> Entries:
 def init_unknown_heading(params: FilterParams, nav: Navigation) -> FilterState:
     """Return the state of a filter without a heading; states after the versine start at zero."""
     state = initial_state(params, nav)
-    return _with_versine(state, 1.0 + state.belief.x[VERSINE])  # mean zero of cos a
-
-
-def _keep_amplitude(first: FilterState, last: FilterState) -> FilterState:
-    """Keep sine and cosine as at a reset: the solution has their azimuth, they its amplitude."""
-    direction = _direction(last)
-    versine = jnp.where(direction.known, 1 - direction.amplitude, first.belief.x[VERSINE])
-    return _with_versine(first, versine)
-
-
-def _with_versine(state: FilterState, versine: Scalar) -> FilterState:
-    x = (*state.belief.x[:VERSINE], versine, *state.belief.x[VERSINE + 1 :])
+    x = state.belief.x
+    x = (*x[:VERSINE], 1.0 + x[VERSINE], *x[VERSINE + 1 :])  # mean zero of cos a
     return state._replace(belief=state.belief._replace(x=x))
 
 
@@ -193,44 +175,9 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
     return rotate_covariance(tilt_covariance, d.sine, d.cosine)
 
 
-class NorthDrift(NamedTuple):
-    """Estimated north gyro drift and its sigma, rad/s; NaN while the heading is unknown."""
-
-    value: Scalar
-    sigma: Scalar
-
-
-def _north_drift(site: Site, state: FilterState) -> NorthDrift:
-    """Return (sqrt(s^2 + C^2) - 1) w_N and its sigma."""
-    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
-    c, s = d.cosine, d.sine
-    variance = s * s * p[at[SINE, SINE]] - 2 * s * c * p[at[SINE, VERSINE]]
-    variance = variance + c * c * p[at[VERSINE, VERSINE]]
-    rate = jnp.abs(site.place.rate_n)
-    value, sigma = rate * (d.amplitude - 1), rate * jnp.sqrt(variance)
-    return NorthDrift(*(jnp.where(d.known, number, jnp.nan) for number in (value, sigma)))
-
-
-def _drift_deg_per_h(field: str, results: Any, rate_hz: float) -> NDArray:
-    return np.asarray(getattr(results.extra, field)) / DEG_PER_H
-
-
-NORTH_DRIFT = tuple(
-    OwnColumn(
-        column(f"gyro_north_drift{suffix}_deg_per_h", meaning),
-        partial(_drift_deg_per_h, field),
-    )
-    for suffix, field, meaning in (
-        ("", "value", "north gyro drift by the estimated sine and cosine of the azimuth"),
-        ("_sigma", "sigma", "the filter's sigma of it"),
-    )
-)
-"""Result columns of these filters."""
-
 describe = partial(
     filter_method,
     without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
-    columns=(*FILTER_COLUMNS, *NORTH_DRIFT),
 )
 """Return the `Method` of a filter with these states."""
 

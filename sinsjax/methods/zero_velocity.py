@@ -61,8 +61,6 @@ def build_filter(with_biases: bool, options: Options) -> Filter:
         init=_init,
         correct=correct if with_biases else None,
         shares_covariance=assumes_rest and options.position == "fixed" and not with_biases,
-        keep=lambda first, last: first._replace(bias=_estimated_biases(last)),
-        gyro_bias=_gyro_bias if with_biases else None,
     )
 
 
@@ -79,16 +77,6 @@ def subtract_biases(sample: Sample, bias: tuple[Scalar, ...], dt: Scalar) -> Sam
     turn = rotations.multiply(sample.turn, Quat(1.0, *(-0.5 * dt * e for e in eps)))
     dv = sample.dv
     return Sample(turn, Vec3(dv.x - nabla_x * dt, dv.y - nabla_y * dt, dv.z))
-
-
-def _estimated_biases(state: FilterState) -> tuple[Scalar, ...]:
-    """Return the sensor biases as estimated: fed back, and not yet fed back."""
-    not_fed_back = state.belief.x[FIRST_BIAS:]
-    return tuple(bias + x for bias, x in zip(state.bias, not_fed_back, strict=True))
-
-
-def _gyro_bias(state: FilterState) -> Vec3:
-    return Vec3(*_estimated_biases(state)[EPS_X - FIRST_BIAS :])
 
 
 KALMAN5 = filter_method(

@@ -6,14 +6,13 @@ on the figure. Nothing here changes matplotlib's global state.
 
 from sinsjax.plots.comparison import draw_along_axis, plot_compare
 from sinsjax.plots.consistency import plot_belief
-from sinsjax.plots.curves import Ensemble, draw_mean_and_band, group_curves, plot_curves
+from sinsjax.plots.curves import draw_mean_and_band, group_curves, plot_curves
 from sinsjax.plots.labels import axis_label, format_setting
 from sinsjax.plots.maps import plot_map
 from sinsjax.plots.style import COLOURS, render_png
 
 __all__ = [
     "COLOURS",
-    "Ensemble",
     "draw_along_axis",
     "draw_mean_and_band",
     "group_curves",

@@ -1,7 +1,6 @@
 """A filter's covariance against its actual errors: `sinsjax.plot_belief`."""
 
 from collections.abc import Sequence
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -15,22 +14,19 @@ from sinsjax.errors import InputError
 from sinsjax.plots.labels import describe_point
 from sinsjax.plots.style import (
     GREY,
-    LETTERS,
     add_legend_below,
+    add_title,
     line_colour,
     set_log_scale,
     with_style,
 )
-
-_FROM_FLOOR = "from the bias floor"
-_AT_END = "at the end, error from truth"
 
 NEES_COLUMNS = ("nees", "nis_u")
 """Columns of NEES: of the attitude from the truth, and of the heading from the bias floor."""
 
 SHARE_COLUMNS = {
     "from truth": "p_above_error_share",
-    _FROM_FLOOR: "p_above_floor_error_share",
+    "from the bias floor": "p_above_floor_error_share",
 }
 """Columns of the shares of records with P above the squared error."""
 
@@ -78,41 +74,40 @@ def plot_belief(
         'Mean NEES 3, where a consistent filter has 3'
     """
     column, freedom = NEES_COLUMNS[from_floor], 1 if from_floor else NEES_FREEDOM
-    lines, found, means = [], [], []
-    for point, rows in analysis.group_rows(to_arrow_table(runs), to_key_list(by)):
-        nees = analysis.numeric_column(rows, column)
-        if (known := nees[np.isfinite(nees)]).size:
-            lines.append((describe_point(point), rows, nees))
-            found.append(known[known > 0])
-            means.append(float(known.mean()))
+    lines = {
+        describe_point(point): (rows, np.sort(analysis.numeric_column(rows, column)))
+        for point, rows in analysis.group_rows(to_arrow_table(runs), to_key_list(by))
+    }
+    lines = {name: line for name, line in lines.items() if np.isfinite(line[1]).any()}
     if not lines:
         raise InputError(
             f"plot_belief: no run has a finite {column} (only filters have a covariance)"
         )
-    words = dict.fromkeys(f"{m:,.0f}" if m >= 10 else f"{m:.2g}" for m in (min(means), max(means)))
-    of_error = f" of the heading, {_FROM_FLOOR}:" if from_floor else ""
-    mean = f"Mean NEES{of_error} {' to '.join(words)}, where a consistent filter has {freedom}"
+    every = [nees[np.isfinite(nees)] for _, nees in lines.values()]
+    means = sorted(float(nees.mean()) for nees in every)
+    words = dict.fromkeys(f"{m:,.0f}" if m >= 10 else f"{m:.2g}" for m in (means[0], means[-1]))
+    of_heading = " of the heading, from the bias floor:" if from_floor else ""
+    mean = f"Mean NEES{of_heading} {' to '.join(words)}, where a consistent filter has {freedom}"
     figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(lines) - 3, 0)))
-    figure.suptitle(fill(title or mean, int(LETTERS * figure.get_figwidth())))
+    add_title(figure, title or mean)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    shares = {of: c for of, c in SHARE_COLUMNS.items() if of == _FROM_FLOOR or not from_floor}
-    for i, (label, rows, nees) in enumerate(lines):
-        known = np.sort(nees[np.isfinite(nees)])
+    shares = dict([*SHARE_COLUMNS.items()][from_floor:])
+    for i, (label, (rows, nees)) in enumerate(lines.items()):
+        colour, known = line_colour(i), nees[np.isfinite(nees)]
         below = np.arange(known.size + 1) / nees.size  # one that is not finite counts
-        style: Any = {"color": line_colour(i), "linewidth": 3.2 - 0.35 * i, "label": label}
-        left.plot(np.append(known[:1], known), below, drawstyle="steps-post", **style)
-        right.text(0.0, i - _BELOW, label, color=line_colour(i), fontsize=8.5, va="center")
+        width = 3.2 - 0.35 * i
+        steps = np.append(known[:1], known)
+        left.step(steps, below, where="post", color=colour, linewidth=width, label=label)
+        right.text(0.0, i - _BELOW, label, color=colour, fontsize=8.5, va="center")
         for j, (mark, name) in enumerate(zip(_MARKS, shares.values(), strict=False)):
-            column_values, clusters = (
-                analysis.numeric_column(rows, name),
-                analysis.cluster_ids(rows),
-            )
-            value, low, high, _ = analysis.mean(column_values, clusters, limits=(0.0, 1.0))
+            records, clusters = analysis.numeric_column(rows, name), analysis.cluster_ids(rows)
+            value, low, high, _ = analysis.mean(records, clusters, limits=(0.0, 1.0))
             bar = np.maximum(np.nan_to_num([[value - low], [high - value]]), 0.0)
             place = i + _BELOW + 0.12 * (2 * j - len(shares) + 1)
-            style = {"color": line_colour(i), "capsize": 2.5, "markersize": 6, "fmt": mark}
+            style: Any = {"color": colour, "capsize": 2.5, "markersize": 6, "fmt": mark}
             right.errorbar([value], [place], xerr=bar, **style)
-    positive = np.concatenate(found)
+    positive = np.concatenate(every)
+    positive = positive[positive > 0]
     low, high = np.quantile(positive, [0.002, 0.998]) if positive.size else (1.0, 1.0)
     low, high = max(min(low, 0.05), _FAR[0]), min(max(2 * high, 30.0), _FAR[1])
     at = np.geomspace(low, high, 400)
@@ -121,12 +116,12 @@ def plot_belief(
     for mark, of in zip(_MARKS, shares, strict=False):
         left.plot([], [], mark, color=GREY, label=f"share {of}")
     set_log_scale(left.xaxis, low, high)
-    error = f"of the heading at the end, {_FROM_FLOOR}" if from_floor else _AT_END
-    left.set(xlim=(low, high), ylim=(0, 1.02), ylabel="share of runs", xlabel=f"NEES {error}")
+    error = "heading from the bias floor" if from_floor else "attitude from truth"
+    left.set(xlim=(low, high), ylim=(0, 1.02), xlabel=f"NEES at the end, {error}")
+    left.set_ylabel("share of runs")
     right.axvline(_WITHIN_SIGMA, color="black", linestyle="--")
-    right.set_xlim(-0.03, 1.03)
+    right.set(xlim=(-0.03, 1.03), yticks=[])
     right.set_ylim(len(lines) - 0.4, -0.6)  # room for the marks of the last, the name of the first
-    right.set_yticks([])
     right.set_xlabel("share of records with the variance\nabove the squared heading error")
     add_legend_below(figure, left)
     return figure

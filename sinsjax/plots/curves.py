@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import islice
+from itertools import islice, product
 from textwrap import fill
 from typing import Any, NamedTuple
 
@@ -22,30 +22,35 @@ from sinsjax.analysis.tables import (
 )
 from sinsjax.errors import InputError
 from sinsjax.plots.labels import axis_label, describe_point
-from sinsjax.plots.style import GREY, add_legend_below, line_colour, set_log_scale, with_style
+from sinsjax.plots.style import (
+    GREY,
+    add_legend_below,
+    add_title,
+    line_colour,
+    set_log_scale,
+    with_style,
+)
 
 MAX_LINES = 6
 """Lines of a figure at most."""
 
-BAND = (0.025, 0.975)
-"""Quantiles over the draws at the edges of a band."""
-
+_BAND = (0.025, 0.975)  # quantiles over the draws at its edges
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8  # reset times that are marked
 _STACKED = 3  # panels at most in a single column
-_LETTERS = {1: 60, 2: 26}  # of a line of a panel's title, by the number of columns
+_LETTERS = {1: 64, 2: 34}  # of a line of a panel's title, by the number of columns
 _LEAST_FLOOR = 0.01  # arcmin; a smaller bias floor is not drawn
 _DIPS = 0.01  # quantile of the errors below which an axis of magnitudes ends
 _SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
-_FAINT = 0.22  # opacity of a band
-_WIDE = 12.0  # times the end of a line; beyond it a linear axis would hide that end
+_FAINT: Any = {"alpha": 0.22, "linewidth": 0}  # of a band
 _BAND_NAME = "95 % of the runs"
-_LEVEL_NAMES = {
-    "phi_e_arcmin": "level error,\neast (arcmin)",
-    "phi_n_arcmin": "level error,\nnorth (arcmin)",
+_HEADING, _LEVEL = ("phi_u_arcmin",), ("phi_e_arcmin", "phi_n_arcmin")
+_COMPONENTS = {"phi_e_arcmin": "east", "phi_n_arcmin": "north"}
+_SIGMAS = {
+    "pitch_deg": "sigma_e_arcmin",
+    "roll_deg": "sigma_n_arcmin",
+    "yaw_deg": "sigma_u_arcmin",
 }
-_ATTITUDE = ("pitch_deg", "roll_deg", "yaw_deg")
-_SIGMA_AXES = dict(zip((*_LEVEL_NAMES, *_ATTITUDE), "enenu", strict=True))
 
 
 class Ensemble(NamedTuple):
@@ -65,6 +70,10 @@ class Ensemble(NamedTuple):
     floor_arcmin: float = math.nan
     resets_s: Sequence[float] = ()
 
+    def column(self, name: str) -> NDArray:
+        """Return a column, (runs, T); NaN if there is none."""
+        return self.columns.get(name, np.full((1, len(self.time_s)), np.nan))
+
 
 def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) -> list[Ensemble]:
     """Arrange curves by run and record time.
@@ -78,7 +87,7 @@ def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) ->
         rows = curves.filter(pc.field("run_id").isin(sorted(run_ids)))
         count = pc.count_distinct(rows["run_id"]).as_py()
         columns = {
-            column: rows[column].cast(pa.float64()).to_numpy().reshape(count, -1)
+            column: numeric_column(rows, column).reshape(count, -1)
             for column in rows.column_names
             if column != "run_id"
         }
@@ -107,9 +116,8 @@ def _draw_band(axes: Axes, time_s: NDArray, values: NDArray, colour: str, label:
     """Shade the band that contains 95 % of several runs, (runs, T)."""
     known = np.isfinite(values).all(axis=0)
     if len(values) > 1 and known.any():
-        low, high = np.quantile(values[:, known], BAND, axis=0)
-        style: Any = {"color": colour, "alpha": _FAINT, "linewidth": 0, "label": label or None}
-        axes.fill_between(time_s[known], low, high, **style)
+        edges = np.quantile(values[:, known], _BAND, axis=0)
+        axes.fill_between(time_s[known], *edges, color=colour, label=label or None, **_FAINT)
 
 
 def plot_curves(
@@ -122,10 +130,10 @@ def plot_curves(
 ) -> Figure:
     """Draw the heading error over time, the level errors, or the attitude of runs without a truth.
 
-    Heading errors have a panel for each line, with a logarithmic axis: rms over the runs, the band
-    of 95 % of them and the filter's own 1 sigma. Level errors are drawn about zero: mean and band
-    of each line, dashed the filter's own 1 sigma; so are those of runs that all have no heading.
-    Only the first 6 lines and the first 256 runs of a line are drawn.
+    Errors have a panel for each line, with a logarithmic axis: rms over the runs, the band of 95 %
+    of them and the filter's own 1 sigma. Level errors are those of runs that all have no heading,
+    too. The attitude is drawn as mean and band of each line, dashed the filter's own 1 sigma about
+    it. Only the first 6 lines and the first 256 runs of a line are drawn.
 
     Args:
         curves: one row per run and record time, ordered by run and time, with ``run_id``,
@@ -134,7 +142,7 @@ def plot_curves(
         runs: the runs to draw, one row each, such as `Results.summary`, with the keys of ``by``;
             reset times and a bias floor in it are marked. None draws every run as its own line.
         by: key or keys of the lines; without keys all runs make one.
-        title: title of the figure; by default it states the heading error at the end.
+        title: title of the figure; by default what is drawn.
         level: whether to draw the level errors.
 
     Raises:
@@ -145,13 +153,12 @@ def plot_curves(
         >>> phi = {f"phi_{axis}_arcmin": [30.0, 2.0] for axis in "enu"}
         >>> curves = pa.table({"run_id": [0, 0], "time_s": [1.0, 2.0], **phi})
         >>> sinsjax.plot_curves(curves).get_suptitle()
-        'Heading error after 2 s: 2 arcmin'
+        'Heading error'
     """
     table = to_arrow_table(curves)
-    errors = [f"phi_{axis}_arcmin" for axis in "enu" if f"phi_{axis}_arcmin" in table.column_names]
-    has_truth = any(np.isfinite(numeric_column(table, name)).any() for name in errors)
-    attitude = [*_ATTITUDE, *(f"sigma_{axis}_arcmin" for axis in "enu")]
-    for name in ("run_id", "time_s", *(errors if has_truth else attitude)):
+    errors = [name for name in (*_LEVEL, *_HEADING) if name in table.column_names]
+    known = [name for name in errors if np.isfinite(numeric_column(table, name)).any()]
+    for name in ("run_id", "time_s", *(errors if known else (*_SIGMAS, *_SIGMAS.values()))):
         require_column(table, name)
     every = table["run_id"].unique()
     summary = pa.table({"run_id": every}) if runs is None else to_arrow_table(runs)
@@ -164,20 +171,14 @@ def plot_curves(
         _with_marks(one, summary.filter(pc.is_in(summary["run_id"], pa.array(lines[one.label]))))
         for one in group_curves(table, lines)
     ]
-    if not has_truth:
-        shown = [column for column in _ATTITUDE if _has_values(ensembles, column)]
-        title = title or _end_title("Yaw", ensembles, ["yaw_deg"], ".2f")
-        return draw_lines(ensembles, title, {name: axis_label(name) for name in shown})
-    if level or not _has_values(ensembles, "phi_u_arcmin"):
-        title = title or _end_title("Level errors", ensembles, errors[:2], ".3g")
-        return draw_lines(ensembles, title, _LEVEL_NAMES)
-    return draw_heading_errors(
-        ensembles, title or _end_title("Heading error", ensembles, errors[2:], ".3g")
-    )
+    if not known:
+        return draw_attitude(ensembles, title or "Attitude")
+    has_heading = any(np.isfinite(e.column(*_HEADING)).any() for e in ensembles)
+    return draw_errors(ensembles, title, level=level or not has_heading)
 
 
 def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
-    """The runs of each line that `plot_curves` draws, by its name.
+    """Return the runs of each line that `plot_curves` draws, by its name.
 
     Args:
         summary: one row per run, with ``run_id`` and the keys.
@@ -192,34 +193,16 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
 
 def _with_marks(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
     """Return a line with the bias floor and the reset times of its runs, if they are known."""
-    floor, moments = math.nan, set[float]()
-    if "floor_arcmin" in rows.column_names:
-        floors = numeric_column(rows, "floor_arcmin")
-        if np.isfinite(floors).any():
-            floor = float(_rms(floors[np.isfinite(floors)]))
-    if "reset_times_s" in rows.column_names:
-        moments = {time for times in rows["reset_times_s"].to_pylist() for time in times or ()}
-    shown = sorted(moments) if len(moments) <= _MOST_MOMENTS else []
+
+    def read(name: str) -> list[Any]:
+        column = rows[name].drop_null() if name in rows.column_names else []
+        return [value.as_py() for value in column]
+
+    floors = np.array([floor for floor in read("floor_arcmin") if math.isfinite(floor)])
+    moments = sorted({time for times in read("reset_times_s") for time in times})
+    floor = float(_rms(floors)) if floors.size else math.nan
+    shown = moments if len(moments) <= _MOST_MOMENTS else []
     return ensemble._replace(floor_arcmin=floor, resets_s=shown)
-
-
-def _end_title(
-    name: str, ensembles: Sequence[Ensemble], columns: Sequence[str], digits: str
-) -> str:
-    """The values of some columns at the end of each line that has them, in words.
-
-    Errors are the rms over the runs, attitudes their mean.
-    """
-    last = [e.columns[column][:, -1] for e in ensembles for column in columns]
-    last = [values for values in last if np.isfinite(values).all()]
-    time = f"{max(e.time_s[-1] for e in ensembles):g} s"
-    if not last:
-        return f"Pitch and roll over {time}" if name == "Yaw" else "Misalignment"
-    is_error = columns[0].startswith("phi")
-    ends = [float(_rms(values) if is_error else values.mean()) for values in last]
-    words = dict.fromkeys(f"{end:{digits}}" for end in (min(ends), max(ends)))
-    rms = ", rms" if is_error and max(map(len, last)) > 1 else ""
-    return f"{name} after {time}: {' to '.join(words)} {'arcmin' if is_error else 'deg'}{rms}"
 
 
 def _rms(values: NDArray) -> NDArray:
@@ -227,60 +210,50 @@ def _rms(values: NDArray) -> NDArray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def _has_values(ensembles: Sequence[Ensemble], column: str) -> bool:
-    return any(np.isfinite(ensemble.columns[column]).any() for ensemble in ensembles)
-
-
-def _mark_resets(axes: Axes, times_s: Sequence[float]) -> None:
+def _mark_resets(axes: Axes, times_s: Iterable[float]) -> None:
     for i, time in enumerate(times_s):
         name = "reset" if i == 0 else None
         axes.axvline(time, color=GREY, linestyle=":", linewidth=1.1, label=name)
 
 
 @with_style
-def draw_heading_errors(ensembles: Sequence[Ensemble], title: str) -> Figure:
-    """Draw the magnitude of the heading error next to the filter's 1 sigma, one panel per line.
+def draw_errors(ensembles: Sequence[Ensemble], title: str = "", *, level: bool = False) -> Figure:
+    """Draw the magnitude of errors next to the filter's 1 sigma, one panel per line.
 
     Each is the rms over the runs, on a logarithmic axis that all panels share; shaded: the
-    magnitudes of 95 % of the runs. Lines without a heading are left out.
+    magnitudes of 95 % of the runs. Lines without such an error are left out.
 
     Args:
-        ensembles: the lines, with ``phi_u_arcmin``, and ``sigma_u_arcmin`` if it is known.
-        title: title of the figure.
+        ensembles: the lines, with ``phi_u_arcmin``, and ``sigma_u_arcmin`` if it is known; those
+            about east and north if ``level``.
+        title: title of the figure; by default the name of the error.
+        level: whether to draw the level errors, about east and north, and not the heading error.
     """
-    shown = [e for e in ensembles if np.isfinite(e.columns["phi_u_arcmin"]).any()]
-    width = 1 if len(shown) <= _STACKED else 2
-    height = -(-len(shown) // width)
-    figure = Figure(figsize=(9.2, 1.4 + (2.6 if len(shown) > 1 else 4.0) * height))
-    figure.suptitle(title)
+    columns, name = (_LEVEL, "level error") if level else (_HEADING, "heading error")
+    shown = [e for e in ensembles if np.isfinite(e.column(columns[0])).any()]
+    if not shown:
+        raise InputError(f"plot_curves: no {name} of these runs is known")
+    width = 2 if level or len(shown) > _STACKED else 1
+    height = -(-len(shown) * len(columns) // width)
+    figure = Figure(figsize=(9.2, 1.4 + (2.6 if height > 1 else 4.0) * height))
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    panels, values = list(grid.flat)[: len(shown)], []
-    for number, (axes, ensemble) in enumerate(zip(panels, shown, strict=True)):
-        for name, column, colour, style in (
-            ("heading error", "phi_u_arcmin", line_colour(number), "-"),
-            ("filter's 1 sigma", "sigma_u_arcmin", "black", "--"),
-        ):
-            runs = np.abs(ensemble.columns.get(column, np.full((1, ensemble.time_s.size), np.nan)))
-            known = np.isfinite(runs).all(axis=0)
-            if known.any():  # else a method without a covariance
-                if style == "-":
-                    _draw_band(axes, ensemble.time_s, runs, colour, _BAND_NAME)
-                values.append(_rms(runs[:, known]))
-                axes.plot(ensemble.time_s[known], values[-1], style, color=colour, label=name)
-        _mark_resets(axes, ensemble.resets_s)
-        if (floor := ensemble.floor_arcmin) > _LEAST_FLOOR:
-            axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2, label="bias floor")
-            values.append(np.array([floor]))
-        axes.set_title(fill(ensemble.label, _LETTERS[width]))
-    found = np.concatenate(values)
+    drawn: list[NDArray] = []
+    for axes, (line, column) in zip(grid.flat, product(enumerate(shown), columns), strict=False):
+        number, ensemble = line
+        drawn += _draw_error(axes, ensemble, column, line_colour(number), name)
+        label = ", ".join(filter(None, (ensemble.label, _COMPONENTS.get(column))))
+        axes.set_title(fill(label, _LETTERS[width]))
+    add_title(figure, title or name.capitalize())
+    found = np.concatenate(drawn)
     low = float(np.quantile(found[found > 0], _DIPS)) if (found > 0).any() else 1.0
     low, high = 0.5 * low, 1.5 * max(float(found.max()), low)
-    set_log_scale(panels[0].yaxis, low, high)
-    panels[0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
-    for axes in list(grid.flat)[len(shown) :]:
+    set_log_scale(grid[0, 0].yaxis, low, high)
+    grid[0, 0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
+    panels = list(grid.flat)[: len(shown) * len(columns)]
+    for axes in grid.flat[len(panels) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("|heading error|\n(arcmin)")
+        axes.set_ylabel(f"|{name}|\n(arcmin)")
     for axes in panels[-width:]:
         axes.set_xlabel("time (s)")
         axes.tick_params(labelbottom=True)
@@ -288,53 +261,56 @@ def draw_heading_errors(ensembles: Sequence[Ensemble], title: str) -> Figure:
     return figure
 
 
-@with_style
-def draw_lines(ensembles: Sequence[Ensemble], title: str, names: Mapping[str, str]) -> Figure:
-    """Draw the mean of some columns over time, a panel for each, dashed the filter's own 1 sigma.
+def _draw_error(
+    axes: Axes, ensemble: Ensemble, column: str, colour: str, name: str
+) -> list[NDArray]:
+    """Draw the magnitude of an error, and return the values of all lines."""
+    runs, drawn = ensemble.column(column), []
+    _draw_band(axes, ensemble.time_s, np.abs(runs), colour, _BAND_NAME)
+    sigma = ensemble.column(column.replace("phi", "sigma"))
+    lines = ((name, runs, colour, "-"), ("filter's 1 sigma", sigma, "black", "--"))
+    for label, values, line, style in lines:
+        rms = _rms(values)
+        if np.isfinite(rms).any():  # else a method without a covariance
+            axes.plot(ensemble.time_s, rms, style, color=line, label=label)
+            drawn.append(rms[np.isfinite(rms)])
+    _mark_resets(axes, ensemble.resets_s)
+    floor = ensemble.floor_arcmin
+    if column in _HEADING and floor > _LEAST_FLOOR:
+        axes.axhline(floor, color=GREY, linestyle="-.", linewidth=1.2, label="bias floor")
+        drawn.append(np.array([floor]))
+    return drawn
 
-    It is drawn about zero for errors, about the mean for an attitude in deg.
+
+@with_style
+def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
+    """Draw the mean attitude over time, a panel per angle, dashed the filter's own 1 sigma.
 
     Args:
-        ensembles: one line each, with the columns, and those of sigma if it is known.
+        ensembles: one line each, with ``pitch_deg``, ``roll_deg``, ``yaw_deg`` and the sigmas.
         title: title of the figure.
-        names: axis labels by column, such as ``phi_e_arcmin`` or ``yaw_deg``.
     """
-    figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(names)))
-    figure.suptitle(title)
-    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (column, name) in zip(panels, names.items(), strict=True):
-        angle, is_error = _SIGMA_AXES.get(column), column.startswith("phi")
-        edges, end = [], math.inf
+    columns = [c for c in _SIGMAS if any(np.isfinite(e.column(c)).any() for e in ensembles)]
+    figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(columns)))
+    add_title(figure, title)
+    panels = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, column in zip(panels, columns, strict=True):
+        covered = []
         for i, ensemble in enumerate(ensembles):
-            time, values = ensemble.time_s, ensemble.columns[column]
+            time, values = ensemble.time_s, ensemble.column(column)
             draw_mean_and_band(axes, ensemble.label, time, values, line_colour(i))
-            sigma = ensemble.columns.get(f"sigma_{angle}_arcmin", np.full((1, time.size), np.nan))
-            sigma = sigma.mean(axis=0) / (1 if is_error else 60)
-            middle = 0.0 if is_error else values.mean(axis=0)
-            for side in (sigma, -sigma) if np.isfinite(sigma).any() else ():
+            middle, sigma = values.mean(axis=0), ensemble.column(_SIGMAS[column]).mean(axis=0) / 60
+            for side in (sigma, -sigma) if np.isfinite(middle + sigma).any() else ():
                 style: Any = {"color": line_colour(i), "linewidth": 0.9, "alpha": 0.8}
                 axes.plot(time, middle + side, "--", **style)
-                known = (middle + side)[np.isfinite(middle + side)]
-                if known.size and not is_error:
-                    # Without the spikes at resets, which would flatten the rest.
-                    known = np.quantile(known, _SPIKES)
-                edges.append(known)
-            edges.append(values[np.isfinite(values)])
-            end = min(end, float(np.abs(values[:, -1]).max()))
-        if axes.collections:
-            axes.fill_between([], [], color=GREY, alpha=_FAINT, linewidth=0, label=_BAND_NAME)
-        if any(line.get_linestyle() == "--" for line in axes.get_lines()):
-            axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
+                covered.append(np.nanquantile(middle + side, _SPIKES))  # not the spikes at resets
+            covered.append(values[np.isfinite(values)])
+        axes.plot([], [], "--", color=GREY, linewidth=0.9, label="±1 sigma of the filter")
         _mark_resets(axes, sorted({time for e in ensembles for time in e.resets_s}))
-        known = np.concatenate(edges)
-        if is_error and np.abs(known).max(initial=0.0) > _WIDE * max(end, 0.1):
-            # A linear axis would hide the end.
-            axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(max(end, 0.1))))
-            axes.yaxis.set_major_formatter("{x:g}")
-        elif known.size and not is_error:
-            margin = 0.05 * max(float(np.ptp(known)), 0.01)
-            axes.set_ylim(known.min() - margin, known.max() + margin)
-        axes.set_ylabel(name)
+        known = np.concatenate(covered)
+        margin = 0.05 * max(float(np.ptp(known)), 0.01)
+        axes.set_ylim(known.min() - margin, known.max() + margin)
+        axes.set_ylabel(axis_label(column))
     panels[-1].set(xlabel="time (s)", xlim=(0, max(e.time_s[-1] for e in ensembles)))
     add_legend_below(figure, panels[-1])
     return figure

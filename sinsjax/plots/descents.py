@@ -7,29 +7,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from sinsjax.plots.style import (
-    COLOURS,
     GREY,
-    LETTERS,
     add_colour_bar,
     add_legend_below,
+    add_title,
     colour_range,
+    line_colour,
     set_log_scale,
     with_style,
 )
 
-_COLOURS = "viridis_r"  # light where the objective is small
-_MARKERS = ("*", "D", "^", "s", "o", "P", "X", "v")
-_MARKER_COLOURS = (1, 3, 6, 4, 5, 0, 1, 2)
+_MARKERS = "*D^soPXv"
 _EDGE: Any = [withStroke(linewidth=3.0, foreground="black")]
 _LETTERS = 44  # characters per line of an axis label
 _MOST_PANELS = 10  # pairs of variables; more would not be legible
+_SMALL, _LARGE = 4.0, 320.0  # pt: the side of a point, and that of all points of a grid together
 
 
 class VariableAxis(NamedTuple):
@@ -60,10 +57,8 @@ def draw_descents(
     descents: Sequence[Points],
     marked: Sequence[Points],
     title: str,
-    *,
-    grid_points: int | None = None,
 ) -> Figure:
-    """Descents over sampled points: a curve of one variable, or a panel for each pair of more.
+    """Draw descents over sampled points: a curve of one variable, or a panel per pair of more.
 
     Args:
         variables: the variables.
@@ -71,62 +66,44 @@ def draw_descents(
         descents: the descents.
         marked: marked points, such as the best point of each search.
         title: title of the figure.
-        grid_points: points along each variable if they form a grid, the last one fastest.
     """
-    number = min(2, len(variables))  # of variables of a panel
-    pairs = list(combinations(range(len(variables)), number))[:_MOST_PANELS]
+    pairs = list(combinations(range(len(variables)), min(2, len(variables))))[:_MOST_PANELS]
     across = min(3, len(pairs))
     down = -(-len(pairs) // across)
     size = (8.4, 6.2) if len(pairs) == 1 else (1.4 + 3.3 * across, 1.5 + 3.0 * down)
     figure = Figure(figsize=size)
-    figure.suptitle(fill(title, int(LETTERS * size[0])))
+    add_title(figure, title)
     grid = figure.subplots(down, across, squeeze=False)
-    objective = points.objective[np.isfinite(points.objective)]
-    norm, name = Normalize(*colour_range(objective)), points.name
+    for axes in grid.flat[len(pairs) :]:
+        axes.set_visible(False)
     for axes, pair in zip(grid.flat, pairs, strict=False):
-        x, *y = _coordinates(points, pair)
-        if len(variables) == 1:
+        x, y = _coordinates(points, pair)
+        if len(pair) == 1:
             order = np.argsort(x)
-            style: Any = {"color": GREY, "marker": ".", "label": "points of the search"}
-            axes.plot(x[order], y[0][order], **style)
-            axes.set_ylabel(fill(name, _LETTERS))
+            axes.plot(x[order], y[order], ".-", color=GREY, label="points of the search")
+            axes.set_ylabel(fill(points.name, _LETTERS))
         else:
-            if grid_points and len(variables) == 2:
-                edges = (_cell_edges(points.values[:, i], variables[i].log) for i in pair)
-                cells = points.objective.reshape(grid_points, grid_points).T
-                axes.grid(visible=False)
-                axes.pcolormesh(*edges, np.ma.masked_invalid(cells), cmap=_COLOURS, norm=norm)
-            else:
-                order = np.argsort(-points.objective)  # the best on top
-                style = {"c": points.objective[order], "cmap": _COLOURS, "norm": norm, "s": 16}
-                axes.scatter(x[order], y[0][order], **style)
+            order = np.argsort(-points.objective)  # the best on top
+            side = max(_SMALL, _LARGE / len(np.unique(x)))
+            colours: Any = {"cmap": "viridis_r", "norm": colour_range(points.objective)}
+            colours |= {"c": points.objective[order], "plotnonfinite": False}
+            image = axes.scatter(x[order], y[order], side**2, marker="s", **colours)
             axes.set_ylabel(variables[pair[1]].name)
         _draw_descents_and_marks(axes, pair, descents, marked)
         axes.set_xlabel(variables[pair[0]].name)
         for axis, i in zip((axes.xaxis, axes.yaxis), pair, strict=False):
             if variables[i].log:
                 set_log_scale(axis, points.values[:, i].min(), points.values[:, i].max())
-    for axes in list(grid.flat)[len(pairs) :]:
-        axes.set_visible(False)
     if len(variables) > 1:
-        image = ScalarMappable(norm, _COLOURS)
-        add_colour_bar(figure, grid, image, name, objective, _LETTERS)
+        add_colour_bar(figure, grid, image, points.name, points.objective)
     add_legend_below(figure, grid[0, 0])
     return figure
 
 
-def _coordinates(points: Points, pair: Sequence[int]) -> list[NDArray]:
+def _coordinates(points: Points, pair: Sequence[int]) -> tuple[NDArray, NDArray]:
     """Places of points in a panel: two variables, or one and the objective."""
-    along = [points.values[:, number] for number in pair]
-    return along if len(pair) == 2 else [*along, points.objective]
-
-
-def _cell_edges(values: NDArray, log: bool) -> NDArray:
-    """Edges of cells around the evenly spaced values of a variable, of which there are several."""
-    places = np.unique(np.log(values) if log else values)
-    half = (places[1] - places[0]) / 2
-    edges = np.append(places - half, places[-1] + half)
-    return np.exp(edges) if log else edges
+    along = [*points.values.T[list(pair)], points.objective]
+    return along[0], along[1]
 
 
 def _draw_descents_and_marks(
@@ -139,9 +116,8 @@ def _draw_descents_and_marks(
         axes.plot(x, y, ".", color="black", markersize=3, zorder=4)
         axes.plot(x[:1], y[:1], "o", mfc="white", mec="black", color="black", label=name, zorder=4)
     for number, point in enumerate(marked):
-        kind = number % len(_MARKERS)
-        colour, marker = COLOURS[_MARKER_COLOURS[kind]], _MARKERS[kind]
         (x,), (y,) = _coordinates(point, pair)
+        colour, marker = line_colour(number + 1), _MARKERS[number % len(_MARKERS)]
         if np.isnan(y):  # its objective is unknown
             axes.axvline(x, color=colour, linestyle=":", label=point.name)
             continue

@@ -18,10 +18,6 @@ KEY_NAMES = {
     "reset_first": "first reset at",
     "reset_cycle": "time between resets",
     "reset_times": "resets at",
-    "reset_trigger": "resets called for by",
-    "trigger_threshold": "threshold of the trigger",
-    "feedback_interval": "feedback interval",
-    "specific_force": "specific force in A(t)",
     "q_reading": "Q read as",
     "r_reading": "R read as",
     "p0_yaw": "heading sigma in P0",
@@ -30,22 +26,9 @@ KEY_NAMES = {
     "q_accel": "accelerometer noise in Q",
     "q_gyro": "gyro noise in Q",
     "q_scale": "factor on Q",
-    "sigma_factors": "factor on sigma",
     "r_velocity": "velocity noise in R",
     "stored": "length of the stored record",
-    "passes": "number of passes",
-    "direction": "direction of passes",
-    "turn_covariance": "P at a turn",
-    "azimuth_sigma": "sigma of the azimuth loop",
-    "level_sigma": "sigma of the level loop",
-    "level_time": "time of levelling",
-    "turn_smoothing": "smoothing of the force at a turn",
-    "coarse_method": "coarse alignment",
-    "coarse_duration": "length of coarse alignment",
-    "coarse_then": "then",
-    "gyro_bias": "gyro bias",
     "accel_bias": "accelerometer bias",
-    "gyro_noise": "gyro noise",
     "accel_noise": "accelerometer noise",
 }
 """Names by key without its unit; for other keys underscores are replaced by spaces."""
@@ -75,15 +58,6 @@ def _describe_setting(key: str, value: Any) -> str:
     if key == "reset_times_s" and value is not None:
         return describe_schedule(value)
     return format_value(value) if key == "case" else format_setting(key, format_value(value))
-
-
-def describe_axis_point(point: Mapping[str, Any]) -> str:
-    """Describe a point of some axes; of its schedule only the times, if it has them."""
-    if point.get("reset_times_s") is None:
-        return describe_point(point)
-    others = ("reset_times_s", "reset_count", "reset_cycle_s", "reset_first_s")
-    left = {key: value for key, value in point.items() if key not in others}
-    return describe_point({"reset_times_s": point["reset_times_s"]} | left)
 
 
 def describe_schedule(times_s: Sequence[float]) -> str:

@@ -12,15 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
-from matplotlib.ticker import (
-    LogFormatter,
-    LogFormatterMathtext,
-    LogLocator,
-    NullFormatter,
-    StrMethodFormatter,
-)
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
@@ -29,10 +24,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 GREY = "#8a8a8a"
 """Colour of annotations: reset times, bias floors, cells without a number."""
 
-LETTERS = 7
-"""Characters per inch in the title of a figure."""
-
-_SMALL = "#555555"
+_LETTERS = 7  # characters per inch in the title of a figure
 _CAP = 0.95  # quantile at which a colour scale ends, if the rest is far beyond it
 _FAR = 1.5  # times the range up to that quantile
 _LEVEL = 3  # of zlib; the default takes twice the time for 2 % less
@@ -41,18 +33,13 @@ _STRIP = 0.28  # height of the strip with the footer, in
 STYLE: Any = {
     "text.parse_math": False,  # names of studies may contain dollar signs
     "figure.dpi": 130,
-    "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     # On a slide a figure is 1.5 times as wide, so these become at least 16 points.
-    "font.size": 11.5,
+    "font.size": 11,
     "axes.titlesize": 12,
     "axes.titlelocation": "left",
-    "axes.labelsize": 11.5,
     "figure.titlesize": 14,
     "figure.titleweight": "bold",
-    "xtick.labelsize": 10.5,
-    "ytick.labelsize": 10.5,
-    "legend.fontsize": 11,
     "legend.frameon": False,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -86,21 +73,18 @@ def line_colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def colour_range(values: NDArray) -> tuple[float, float]:
-    """The lowest and the highest value of a colour scale.
-
-    If a few values lie far above all others, the scale ends below them, so that they do not
-    flatten the others.
+def colour_range(values: NDArray) -> Normalize:
+    """Return a colour scale that a few values far above all others do not stretch.
 
     Args:
-        values: finite values to colour; none give 0 and 1.
+        values: values to colour; those that are not finite are left out.
     """
-    if not values.size:
-        return 0.0, 1.0
-    low, most = float(values.min()), float(values.max())
-    cap = float(np.quantile(values, _CAP, method="higher"))
-    high = cap if most - low > _FAR * (cap - low) > 0 else most
-    return low, high if high > low else low + 1
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return Normalize(0.0, 1.0)
+    low, high, cap = known.min(), known.max(), np.quantile(known, _CAP, method="higher")
+    high = cap if high - low > _FAR * (cap - low) > 0 else high
+    return Normalize(low, high if high > low else low + 1, clip=True)
 
 
 def set_log_scale(axis: Axis, low: float, high: float) -> None:
@@ -117,23 +101,27 @@ def set_log_scale(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def add_title(figure: Figure, title: str) -> None:
+    """Add the title of a figure, wrapped to its width."""
+    figure.suptitle(fill(title, int(_LETTERS * figure.get_figwidth())))
+
+
 def add_colour_bar(
-    figure: Figure, axes: Any, image: ScalarMappable, name: str, values: NDArray, letters: int
+    figure: Figure, axes: Any, image: ScalarMappable, label: str, values: NDArray
 ) -> None:
-    """Add a colour bar; the tip of its label stands for values above the scale.
+    """Add a colour bar; it has a tip if some of the values lie above the scale.
 
     Args:
         figure: figure with the axes.
         axes: axes that it is for.
         image: what has the colours.
-        name: name of the values, with their unit.
-        values: all finite values.
-        letters: characters per line of the label.
+        label: name of the values, with their unit.
+        values: the values.
     """
-    above = bool((values > image.norm.vmax).any())
-    label = fill(f"{name}{' (tip: above the scale)' if above else ''}", letters)
-    extend = "max" if above else "neither"
-    figure.colorbar(image, ax=axes, label=label, aspect=30, extend=extend)
+    above = (values[np.isfinite(values)] > image.norm.vmax).any()
+    label = fill(label, int(8 * figure.get_figheight()))
+    tip = "max" if above else "neither"
+    figure.colorbar(image, ax=axes, label=label, aspect=30, extend=tip)
 
 
 def add_legend_below(figure: Figure, axes: Axes) -> None:
@@ -147,31 +135,20 @@ def add_legend_below(figure: Figure, axes: Axes) -> None:
 
 @with_style
 def render_png(figure: Figure, footer: str = "") -> bytes:
-    """The figure as a PNG file; the same figure and footer give the same bytes.
+    """Return the figure as a PNG file; the same figure and footer give the same bytes.
 
     Args:
         figure: figure to draw.
         footer: source of the data, in small print on a strip below the figure.
     """
-    drawn = [_render_pixels(figure)]
-    if footer:
-        # A separate figure, unaffected by the layout, legend or title of the other one.
-        strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
-        strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=_SMALL)
-        drawn.append(_render_pixels(strip))
-    buffer = io.BytesIO()
-    pixels = np.vstack(drawn)
-    mark: Any = {"Software": "sinsjax"}  # by which `sweep --overwrite` knows its figures
-    fast = {"compress_level": _LEVEL}
-    imsave(buffer, pixels, format="png", dpi=figure.dpi, metadata=mark, pil_kwargs=fast)
+    # A separate figure, unaffected by the layout, legend or title of the other one.
+    strip = Figure(figsize=(figure.get_figwidth(), _STRIP))
+    strip.text(0.1 / figure.get_figwidth(), 0.5, footer, va="center", size=9, color=COLOURS[-1])
+    canvases = [FigureCanvasAgg(part) for part in ([figure, strip] if footer else [figure])]
+    for canvas in canvases:
+        canvas.draw()
+    pixels = np.vstack([np.asarray(canvas.buffer_rgba())[..., :3] for canvas in canvases])
+    buffer, mark = io.BytesIO(), {"Software": "sinsjax"}  # its figures, for `sweep --overwrite`
+    fast: Any = {"metadata": mark, "pil_kwargs": {"compress_level": _LEVEL}}
+    imsave(buffer, pixels, format="png", dpi=figure.dpi, **fast)
     return buffer.getvalue()
-
-
-def _render_pixels(figure: Figure) -> NDArray:
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        if isinstance(axis.get_major_formatter(), LogFormatterMathtext):  # its $ would be drawn
-            axis.set_major_formatter(LogFormatter())
-            axis.set_minor_formatter(LogFormatter())
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.array(canvas.buffer_rgba())[..., :3]

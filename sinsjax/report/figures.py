@@ -107,9 +107,11 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     }
     if not np.isin(shares, (0.0, 1.0)).all():  # else the times show the same
         captions[ok] = f"Share of {draws} ok, {criterion.plural_description}{end}"
-    title = _title(outcome)
+    title, study = _title(outcome), source.study
+    keys = [key for axis in outcome.choices.option_axes for key in axis]
+    best = {key: study.values(key)[outcome.best_variant] for key in keys}
     for column, caption in captions.items():
-        figure = plots.plot_map(table, axes[0], axes[1], column, by=by, title=title)
+        figure = plots.plot_map(table, axes[0], axes[1], column, by=by, best=best, title=title)
         name = "settling_time" if column == settle else "success_rate"
         suffix = criterion.figure_suffix(source.success_measures[0])
         yield Picture(f"{name}{suffix}", caption, figure)

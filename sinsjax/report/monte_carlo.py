@@ -83,13 +83,8 @@ def build_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
     band, doubts = warning_facts(source, warnings_shown=warnings_shown)
     doubts += fit_cautions(source)
     if outcome and finds_heading and not study.is_recorded:
-        facts = [
-            *band,
-            *program_facts(outcome),
-            *answer_facts(outcome),
-            *doubts,
-            *caution_facts(outcome),
-        ]
+        facts = [*band, *program_facts(outcome), *answer_facts(outcome)]
+        facts += [*doubts, *caution_facts(outcome)]
         return Report(study_title(source), facts, condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []

@@ -79,19 +79,9 @@ class AlignmentSection(Section):
 
 
 class PassesSection(Section):
-    """[passes]: repeated passes over a stored record.
-
-    With ``direction = "rewind"`` every pass starts as a run does: from the attitude propagated back
-    to the beginning of the record, with zero velocity and with P0. Only the estimated gyro biases,
-    and the amplitude of the sine and cosine of the azimuth, are kept.
-    """
+    """[passes]: repeated passes over a stored record, every second one backward."""
 
     conditions = (
-        KeyCondition(
-            ("turn", "turn_smoothing_s", "turn_covariance", "turn_inflation"),
-            ("direction",),
-            lambda direction: direction != "rewind",
-        ),
         KeyCondition(("turn_smoothing_s",), ("turn",), lambda turn: turn in (None, "reflect")),
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
@@ -106,11 +96,6 @@ class PassesSection(Section):
         "end of a run without `passes`. 'duration': duration_s, even within a pass. 'forward': the"
         " last complete forward pass within it",
         "duration",
-    )
-    direction: Literal["alternate", "rewind"] | None = field(
-        "'alternate': every second pass backward. 'rewind': all forward, each from the attitude"
-        " propagated back to the record's start",
-        otherwise="'alternate'",
     )
     turn: (
         Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
@@ -154,10 +139,9 @@ class CoarseSection(Section):
         ),
     )
 
-    coarse_method: Literal["inertial", "analytic", "optimisation", "none"] = field(
-        "'inertial': rotation of gravity in inertial space, for a swaying base. 'analytic': mean"
-        " specific force and rate, for a base at rest; only to hand over a record. 'optimisation':"
-        " least squares of integrated velocities. 'none': only in a simulation",
+    coarse_method: Literal["inertial", "optimisation", "none"] = field(
+        "'inertial': rotation of gravity in inertial space. 'optimisation': least squares of"
+        " integrated velocities. 'none': only in a simulation",
         "inertial",
     )
     coarse_duration_s: vt.Seconds = field("duration", 60.0)

@@ -47,7 +47,7 @@ _REASONS = {
     "record_interval_s": "s, between recorded values",
     "settle_bands_arcmin": "arcmin, heading error bands",
     "start_s": "s, start of coarse alignment; may be a list",
-    "coarse_method": "survives sway; 'analytic' needs a base at rest",
+    "coarse_method": "survives sway",
     "coarse_duration_s": "s; its end is t = 0 of the alignment",
     "fit_gyro_bias_deg_per_h": "largest usual biases: put those of the data sheet",
     "fit_gyro_arw_deg_per_sqrt_h": "scatter of the samples",

@@ -57,7 +57,7 @@ SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.mod
 }
 """Section of each leaf key; of the bias keys that [record] has too, it is [sensors]."""
 
-PASS_KEYS = ("stored_s", "passes", "ending", "direction")
+PASS_KEYS = ("stored_s", "passes", "ending")
 """Keys that determine the number of updates and the sample of the stored record that each reads."""
 
 COARSE_KEYS = tuple(alignment.CoarseSection.model_fields)

@@ -1,14 +1,10 @@
-"""The resets of a study's filters by the law, and the settling times that it predicts."""
+"""The resets of a study's filters by the law."""
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sinsjax.errors import InputError
-from sinsjax.methods.reset_law import MEDIAN_SIGMAS, ResetProblem
-from sinsjax.methods.reset_prediction import Lane, predict_settling_times
+from sinsjax.methods.reset_law import ResetProblem
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study
@@ -20,45 +16,23 @@ from sinsjax.study.reset_schedules import (
     schedule_by_law,
 )
 from sinsjax.study.study import Study
-from sinsjax.units import ARCMIN, DEG
-
-_NOISY = 1.1  # settling times that noise delays by less are one
-_SIGMAS = (MEDIAN_SIGMAS, 1.15, 2.0)
-"""1 sigma of white noise that narrow the band: for the median, and if noise alone decides, for the
-median and nine runs of ten. Gyro noise leaves a heading error W(T)/T, a Brownian motion in 1/T, so
-the run settles where that motion first leaves the band; (2, 4, 6, 69 s) of `reset_sweep`: 178 and
-226 s, measured 172 and 238 s.
-"""
-_TILT = 5 * (1 + 1j) * DEG  # of the start
-_DRIFTS = (
-    *("gyro_instability_deg_per_h", "accel_instability_ug"),
-    *("gyro_rrw_deg_per_h_per_sqrt_h", "accel_rrw_ug_per_sqrt_h"),
-)
-"""Sensor errors that delay settling and that the prediction leaves out."""
 
 
 class ResetPlan(NamedTuple):
-    """The schedule of a filter by the law, and its predicted settling time; times in s.
-
-    Settling times are those of a median run from the heading bound and 5 deg of level about both
-    axes, predicted by `sinsjax.methods.reset_prediction`; inf if it does not settle. They hold for
-    resets that open P as `settings` does.
+    """The schedule of a filter by the law; times in s.
 
     Attributes:
         problem: the filter and its place.
         heading_bound_deg: largest initial heading error that the schedule settles, deg.
         band_arcmin: heading error within which a run is settled, arcmin.
         times_s: times of the resets.
-        settling_s: settling time with these resets.
-        noisy_s: the same if the sensors' white noise alone decides, which is later.
-        late_s: settling time with two sigma of noise, of some 90 % of such runs.
-        without_s: settling time without resets.
-        left_out: keys of sensor errors that delay settling and are not predicted.
+        settling_s: time within which the law's bound on the heading error settles, with two sigma
+            of the sensors' white noise; their drifts delay it.
 
     Examples:
         >>> plan = sinsjax.reset_schedule("paper1_resets", heading_bound_deg=60.0)
-        >>> len(plan.times_s), plan.settling_s < plan.without_s
-        (4, True)
+        >>> len(plan.times_s)
+        4
         >>> plan.settings["reset_velocity_m_per_s"]
         1.0
     """
@@ -68,10 +42,6 @@ class ResetPlan(NamedTuple):
     band_arcmin: float
     times_s: tuple[float, ...]
     settling_s: float
-    noisy_s: float
-    late_s: float
-    without_s: float
-    left_out: tuple[str, ...] = ()
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -80,26 +50,14 @@ class ResetPlan(NamedTuple):
         return {"reset_times_s": [*self.times_s], "reset_velocity_m_per_s": velocity}
 
     @property
-    def median(self) -> str:
-        """The settling time of a median run in words: a range if noise may decide it."""
-        if not self.noisy_s > _NOISY * self.settling_s:
-            return _format_time(self.settling_s)
-        if math.isinf(self.noisy_s):
-            return f"{_format_time(self.settling_s)} or more"
-        return f"{self.settling_s:,.0f} to {_format_time(self.noisy_s)}"
-
-    @property
     def facts(self) -> dict[str, str]:
         """The plan in words, by heading."""
-        drifts = f", more with {' and '.join(self.left_out)}" if self.left_out else ""
         velocity = self.settings["reset_velocity_m_per_s"]
         return {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
             "set": f'schedule = "law", or these times with reset_velocity_m_per_s = {velocity:.4g}',
             "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
-            f" {self.median} (median run, predicted),"
-            f" {_format_time(self.late_s)} with {_SIGMAS[-1]:g} sigma of noise{drifts}",
-            "without": _format_time(self.without_s),
+            f" {self.settling_s:,.0f} s, two sigma of white noise",
         }
 
     def __repr__(self) -> str:
@@ -135,26 +93,15 @@ def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], 
     Raises:
         InputError: no method of the study has the law, or it has no schedule for one of them.
     """
-    left_out = tuple(key for key in _DRIFTS if _has_drift(study, key))
-    filters, rate_hz = list(iter_filters(study, **bounds)), study.rate_hz or 100.0
-    runs = list[tuple[Lane, float, float, float]]()
-    for _, point in filters:
+    for varying, point in iter_filters(study, **bounds):
         try:
-            found = schedule_by_law(rate_hz, point)
+            found = schedule_by_law(study.rate_hz or 100.0, point)
         except InputError as error:
             raise error.with_source(study.name) from None
         assert found is not None
-        bound, band = point["heading_bound_deg"] * DEG, point["settle_band_arcmin"] * ARCMIN
-        law = Lane(reset_problem(rate_hz, point), found.times_s, bound, _TILT)
-        run_s = max(study.run_s, 3 * found.settling_s)
-        runs += [(law, run_s, band, sigmas) for sigmas in _SIGMAS]
-        runs.append((law._replace(times_s=()), run_s, band, MEDIAN_SIGMAS))
-    settling = predict_settling_times(*zip(*runs, strict=True)).reshape(-1, 4).tolist()
-    for (varying, point), (law, *_), times_s in zip(filters, runs[::4], settling, strict=True):
-        by_law, noisy, late, without = times_s
+        problem = reset_problem(study.rate_hz or 100.0, point)
         bound, band = point["heading_bound_deg"], point["settle_band_arcmin"]
-        plan = ResetPlan(law.problem, bound, band, law.times_s, by_law, noisy, late, without)
-        yield varying, plan._replace(left_out=left_out)
+        yield varying, ResetPlan(problem, bound, band, found.times_s, found.settling_s)
 
 
 def iter_filters(
@@ -188,19 +135,8 @@ def describe_plans(study: Study) -> list[str]:
     if len(plans) == 1:
         facts = plans[0][1].facts
         return [f"{study.name}:", *(f"  {name:<7}  {text}" for name, text in facts.items())]
-    lines = [f"{study.name}: {len(plans)} filters or places; resets, and settling of a median run:"]
+    lines = [f"{study.name}: {len(plans)} filters or places; resets, and settling by the law:"]
     for point, plan in plans:
         name = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
-        without = _format_time(plan.without_s)
-        lines.append(f"  {name}: {plan.facts['resets']}; {plan.median} (without: {without})")
+        lines.append(f"  {name}: {plan.facts['resets']}; {plan.settling_s:,.0f} s")
     return lines
-
-
-def _has_drift(study: Study, key: str) -> bool:
-    if key in study.drawn_keys:
-        return True
-    return study.is_readable(key) and any(np.any(value or 0.0) for value in study.values(key))
-
-
-def _format_time(time_s: float) -> str:
-    return f"{time_s:,.0f} s" if math.isfinite(time_s) else "never"

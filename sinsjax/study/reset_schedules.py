@@ -1,7 +1,7 @@
 """Reset schedules that a study names, variant by variant: none, by the law, or by a trigger."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -11,13 +11,11 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     SCHEDULE_KEYS,
-    scheduled_reset_times,
     surge_density,
     update_variance,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.reset_law import NoSchedule, ResetProblem, ResetSchedule
-from sinsjax.methods.reset_prediction import Lane, predict_settling_times
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H, micro_g
 from sinsjax.value_types import keys_of
 
@@ -45,8 +43,6 @@ _ONE_VALUE = {"latitude_deg": "earth"} | dict.fromkeys(
 )
 """Keys that the law cannot do without, and that are None if they are drawn or in a record."""
 
-START_KEYS = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
-
 _DEFAULT_TRIGGER = {
     "reset_trigger": "linearisation",
     "trigger_threshold": 1.2,
@@ -58,7 +54,7 @@ _DEFAULT_TRIGGER = {
 
 OPEN_VELOCITY = 1.0
 """Standard deviation of velocity after a reset by the law, unless it is given, m/s: with less, P
-shrinks before a large heading error has turned (`methods.reset_prediction`)."""
+shrinks before a large heading error has turned."""
 
 _VELOCITY = "reset_velocity_m_per_s"
 
@@ -117,42 +113,6 @@ def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule |
 
 
 _cached_schedule: Callable[..., ResetSchedule] = lru_cache(maxsize=4096)(reset_law.schedule)
-
-
-def predict_settling(
-    rate_hz: float, run_s: float, points: Sequence[Mapping[str, Any]]
-) -> list[float | None]:
-    """Return the predicted settling time of a median run from the start of each point, s.
-
-    None where it does not settle within the run, where the law does not hold for its method, where
-    a trigger resets it, or if its start is drawn.
-
-    Args:
-        rate_hz: samples per second.
-        run_s: duration of the runs, s.
-        points: values of `LAW_KEYS`, `DERIVED` and `START_KEYS`.
-    """
-    lanes = {n: lane for n, p in enumerate(points) if (lane := _lane(rate_hz, p)) is not None}
-    bands = [points[number]["settle_band_arcmin"] * ARCMIN for number in lanes]
-    times = predict_settling_times([*lanes.values()], run_s, bands).tolist()
-    settled = {n: time_s for n, time_s in zip(lanes, times, strict=True) if math.isfinite(time_s)}
-    return [settled.get(number) for number in range(len(points))]
-
-
-def _lane(rate_hz: float, point: Mapping[str, Any]) -> Lane | None:
-    start = [point[key] for key in START_KEYS]
-    is_triggered = point["reset_trigger"] not in (None, "none")
-    is_full = point["reset_kind"] in (None, "full")
-    if point["method"] not in LAW_METHODS or is_triggered or not is_full:
-        return None
-    if None in start or any(point[key] is None for key in _ONE_VALUE):
-        return None
-    problem = reset_problem(rate_hz, point)
-    if problem.velocity_noise <= 0:
-        return None
-    east, north, heading = (angle * DEG for angle in start)
-    times = scheduled_reset_times(*(point[key] for key in SCHEDULE_KEYS))
-    return Lane(problem, times, heading, complex(east, north))
 
 
 def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:

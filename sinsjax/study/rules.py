@@ -163,7 +163,6 @@ def _check_passes(study: Study) -> None:
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
         record_s, passes = point["stored_s"], point["passes"]
-        rewinds = point["direction"] == "rewind"
         if record_s is None:
             if (passes or 1) > 1:
                 study.refuse("passes", f"{passes} passes need a stored record (give stored_s)")
@@ -174,7 +173,7 @@ def _check_passes(study: Study) -> None:
         if passes and passes * record_s > duration:
             text = f"{passes} passes of {record_s:.12g} s take {passes * record_s:.12g} s"
             study.refuse("passes", f"{text}, longer than a run ({study.end})")
-        if passes and passes % 2 == 0 and point["ending"] == "forward" and not rewinds:
+        if passes and passes % 2 == 0 and point["ending"] == "forward":
             text = f"{passes} passes end backward, which ending = 'forward' excludes"
             study.refuse("passes", f"{text} (give an odd number)")
 
@@ -182,13 +181,9 @@ def _check_passes(study: Study) -> None:
 def _check_coarse_method(study: Study) -> None:
     """Refuse a method of coarse alignment with which no run can start."""
     for point in study.combinations(*COARSE_KEYS) if study.coarse else ():
-        method, _, then = (point[key] for key in COARSE_KEYS)
-        if study.is_recorded and method == "none":
+        if study.is_recorded and point["coarse_method"] == "none":
             text = "'none' needs an initial attitude, which a record does not give"
             study.refuse("coarse_method", f"{text} (use 'inertial')")
-        if method == "analytic" and study.has_coarse_stage(method, then):
-            text = "'analytic' can only hand over a record (use 'inertial')"
-            study.refuse("coarse_method", text)
 
 
 def _check_reset_law(study: Study) -> None:
@@ -306,9 +301,8 @@ def _check_rules_of_methods(study: Study) -> None:
 
 def _check_times_within_runs(study: Study) -> None:
     """Refuse times after the end of all runs that use them; others of a sweep may be shorter."""
-    units = ("s", "pass") if study.passes else ("s",)
     sections = {name for name in SECTIONS if study.has(name)}
-    times = [key for key in KEYS.values() if key.info.time in units and key.section in sections]
+    times = [key for key in KEYS.values() if key.info.time and key.section in sections]
     _check_all([partial(_check_time_within_runs, study, key) for key in times])
 
 
@@ -318,11 +312,10 @@ def _check_time_within_runs(study: Study, key: Key) -> None:
     passes = PASS_KEYS if study.passes else ()
     for point in study.combinations(key.name, *key.depends_on, *passes):
         value, span = point[key.name], study.span(**{name: point[name] for name in passes})
-        last = value[-1] if isinstance(value, tuple) and value else value
-        is_filled_in = key.info.default is not None and last == key.info.default
-        if last in (None, ()) or is_filled_in or not has_effect(key.name, point):
+        time_s = value[-1] if isinstance(value, tuple) and value else value
+        is_filled_in = key.info.default is not None and time_s == key.info.default
+        if time_s in (None, ()) or is_filled_in or not has_effect(key.name, point):
             continue
-        time_s = last * span.pass_records * interval_s if key.info.time == "pass" else last
         latest[time_s] = max(latest.get(time_s, 0.0), span.records * interval_s)
     for time_s, end in latest.items():
         if time_s > end * (1 + ROUNDING):

@@ -599,12 +599,11 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: vt.Seconds = field("available alignment time: whole seconds, 10 to 7200", 300.0)
+    time_s: Annotated[vt.Seconds, Field(ge=10, le=7200, multiple_of=1)] = field(
+        "available alignment time: whole seconds, 10 to 7200", 300.0
+    )
     wanted_deg: vt.AngleSigma | None = field(
         "heading error that 95 % of alignments must not exceed"
-    )
-    known_heading_deg: vt.AngleSigma | None = field(
-        "1 sigma of prior heading knowledge", otherwise="nothing is known"
     )
 
 

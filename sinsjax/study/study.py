@@ -63,12 +63,10 @@ class Span(NamedTuple):
         records: record intervals of a run.
         pass_records: record intervals of a pass over the stored record; the whole run if there is
             only one pass.
-        rewinds: whether every pass is forward.
     """
 
     records: int
     pass_records: int
-    rewinds: bool = False
 
     @property
     def records_read(self) -> int:
@@ -243,19 +241,17 @@ class Study(_SectionsOfMethods):
         stored_s: float | None = None,
         passes: int | None = None,
         ending: str = "duration",
-        direction: str | None = None,
     ) -> Span:
         """Return the length of the runs of a variant with some values of `PASS_KEYS`."""
-        rewinds = direction == "rewind"
         if stored_s is None:
             return Span(self.records, self.records)
         pass_records = max(1, round(stored_s * self.rate_hz / self.record_every))
         if passes is None:
             whole_passes = self.records // pass_records
-            backward_last = 0 if rewinds else (whole_passes + 1) % 2
+            backward_last = (whole_passes + 1) % 2
             passes = whole_passes - backward_last if ending == "forward" else None
         records = self.records if passes is None else passes * pass_records
-        return Span(records, pass_records, rewinds)
+        return Span(records, pass_records)
 
     @property
     def spans_s(self) -> np.ndarray:
@@ -270,8 +266,7 @@ class Study(_SectionsOfMethods):
     def stored_times(self, span: Span) -> np.ndarray:
         """Return the position in the stored record of each record time, s from its beginning."""
         position = np.arange(span.records) % span.pass_records + 1
-        forward = span.rewinds | (span.pass_numbers() % 2 == 1)
-        position = np.where(forward, position, span.pass_records - position)
+        position = np.where(span.pass_numbers() % 2 == 1, position, span.pass_records - position)
         return position * self.record_every / self.rate_hz
 
     def samples_before(

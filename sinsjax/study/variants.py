@@ -77,13 +77,13 @@ class Variants:
         codes, choices = self.study.coded(key)
         return choices[codes[self.ids[variant]]]
 
-    def column(self, key: str, factor: float = 1.0) -> np.ndarray:
+    def column(self, key: str, factor: float = 1.0) -> Any:
         """Return the values of a numeric key times a factor, (variants,); zeros for a drawn key."""
         if key in self.study.drawn_keys:
             return np.zeros(self.count)
         return self.compute(lambda value: math.nan if value is None else value * factor, key)
 
-    def si(self, key: str) -> np.ndarray:
+    def si(self, key: str) -> Any:
         """Return the values of a numeric key in SI units, (variants,); zeros for a drawn key."""
         return self.column(key, si_factor(key, self.micro_g))
 
@@ -94,11 +94,11 @@ class Variants:
             return np.full(self.count, law.rms)
         return self.compute(lambda value: float(np.abs(value or 0.0).max()), key)
 
-    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> np.ndarray:
+    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
         """Return a function of the values of some keys, called once per combination."""
         return self._map(function, keys).expand(dtype)
 
-    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> np.ndarray:
+    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
         """Return a function that gives lists, (variants, longest), padded with ``padding``."""
         column = self._map(function, keys)
         longest = max(map(len, column.choices))

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple, NoReturn
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from sinsjax.engine.batch import LANES, Batch, Layout, map_in_threads
-from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
+from sinsjax.engine.inputs import Environment, Tiles
 from sinsjax.engine.run import map_tiles, run_tile
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
@@ -31,18 +32,19 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.strapdown import earth
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import with_point
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 from sinsjax.study.sweep import COUNT, TIMES
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.variants import Variants
 from sinsjax.tuning import objective, search
-from sinsjax.tuning.history import Evaluation, SearchResult
+from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
 from sinsjax.tuning.law_point import law_point
+from sinsjax.tuning.search import GRADIENT
 from sinsjax.types import Array, Count
-from sinsjax.units import DEG, micro_g, si_factor
-
-NAME = "gradient"
+from sinsjax.units import DEG, micro_g
 
 TANGENT_STEPS = 2
 """Cost of one tangent of a step, in steps of a plain run; timed by the benchmark ``derivative``."""
@@ -73,46 +75,52 @@ def descend(
     evaluations: list[Evaluation] = []
     for number in range(len(SearchSpace.from_study(study).combinations)):
         cost = evaluations[-1].cost if evaluations else 0
-        evaluations += _Descents(study, stored, number, cost).run(on_progress)
-    return SearchResult(NAME, evaluations)
+        evaluations += _descend_candidate(study, stored, number, cost, on_progress)
+    return SearchResult(GRADIENT, evaluations)
 
 
-class _Descents:
-    """The descents of one combination of candidates."""
+def _descend_candidate(
+    study: Study,
+    stored: StoredRecord | None,
+    number: int,
+    cost: int,
+    on_progress: ProgressCallback | None,
+) -> list[Evaluation]:
+    """Return the evaluations of the descents of a combination of candidates, in order.
 
-    def __init__(self, study: Study, stored: StoredRecord | None, number: int, cost: int) -> None:
-        assert study.tune is not None
-        self._study, self._stored, self._number, self._cost = study, stored, number, cost
-        self._tune, self._space = study.tune, SearchSpace.from_study(study)
-        self._parameters = TunedParams(study, self._space.combinations[number])
-        self._used = self._space.used_variables(self._space.combinations[number])
-        law = law_point(study, number)
-        self._laws = np.empty((0, len(self._used))) if law is None else law[None, self._used]
-
-    def run(self, on_progress: ProgressCallback | None) -> list[Evaluation]:
-        """Run the descents; return all evaluations in order."""
-        if not self._used:
-            return self._evaluate_ends(np.empty((1, 0)))
+    The descents start at the best of some points, one of them the reset schedule by the law. The
+    relaxed objective may lead a descent from the law's point to a worse one, so the law's is
+    evaluated at the end with the final points.
+    """
+    tune, space = search.require_tune(study), SearchSpace.from_study(study)
+    parameters, evaluations = TunedParams(study, space.combinations[number]), list[Evaluation]()
+    law, p = law_point(study, number), len(parameters.variables)
+    laws, box = np.empty((0, p)) if law is None else law[None], np.empty((1, p))
+    if p:
         import optax  # late: it is slow to import, and only descents need it
 
-        tune, steps, starts = self._tune, self._tune.descent_steps, self._tune.descent_starts
-        slope = Slope(self._parameters, self._stored, starts=starts, draws=tune.descent_draws)
-        box = self._choose_starts(slope.draws)
+        steps, starts = tune.descent_steps, tune.descent_starts
+        slope = Slope(parameters, stored, starts=starts, draws=tune.descent_draws)
+        screened = max(tune.descent_screen, starts)
+        box = np.concatenate([laws, search.sobol_boxes(study, GRADIENT, number, screened)])
+        if screened > starts:
+            points = search.points_at(space, number, box)
+            scored = score_hard(study, stored, points, slope.draws)
+            box, cost = box[np.argsort(scored.scores, kind="stable")], cost + scored.costs[-1]
+        box = box[:starts]
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
         state = adam.init(box)
-        evaluations: list[Evaluation] = []
         for step in range(steps):
             draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
-            share = step / max(steps - 1, 1)  # geometric from the first to the last
-            ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
-            softness = Softness(*(first * (last / first) ** share for first, last in ends))
+            softness = Softness.at_step(tune, step)
             scores, gradient = slope(box, draws, softness)
-            self._cost += slope.cost
-            window_s = softness.window_s if self._parameters.moves_resets else None
-            relaxed = window_s, softness.sharpness
+            cost += slope.cost
+            window_s = softness.window_s if parameters.moves_resets else None
             evaluations += [
-                Evaluation(step, self._number, values, float(score), self._cost, start, *relaxed)
-                for start, (values, score) in enumerate(zip(self._values(box), scores, strict=True))
+                Evaluation(step, *point, float(score), cost, start, window_s, softness.sharpness)
+                for start, (point, score) in enumerate(
+                    zip(search.points_at(space, number, box), scores, strict=True)
+                )
             ]
             if on_progress is not None:
                 done, total = ((n * starts * slope.draws) for n in (step + 1, steps))
@@ -121,54 +129,31 @@ class _Descents:
             with jax.numpy_dtype_promotion("standard"):  # which optax is written for
                 moves, state = adam.update(finite, state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
-        return [*evaluations, *self._evaluate_ends(box)]
-
-    def _choose_starts(self, draws: int) -> NDArray:
-        """Return the initial positions of the descents, (starts, p): the best of some points.
-
-        The reset schedule by the law is one of them.
-        """
-        starts = self._tune.descent_starts
-        count = max(self._tune.descent_screen, starts)
-        design = search.sobol_design(self._study, NAME, count)
-        box = design.box[design.candidate == self._number][:, self._used]
-        box = np.concatenate([self._laws, box])
-        if count == starts:
-            return box[:count]
-        return box[np.argsort(self._score(self._values(box), draws), kind="stable")[:starts]]
-
-    def _evaluate_ends(self, box: NDArray) -> list[Evaluation]:
-        """Evaluate the final points and the law's on all tuning draws, the latter without a start.
-
-        The relaxed objective may lead a descent from the law's point to a worse one.
-        """
-        values = self._values(np.concatenate([box, self._laws]))
-        scores, step = self._score(values), self._tune.descent_steps
-        return [
-            Evaluation(step, self._number, *end, self._cost, start if start < len(box) else None)
-            for start, end in enumerate(zip(values, scores, strict=True))
-        ]
-
-    def _values(self, box: NDArray) -> list[list[float]]:
-        """Return the values of all variables at positions of the used ones; NaN for the others."""
-        whole = np.full((len(box), len(self._space.variables)), np.nan)
-        whole[:, self._used] = box
-        return [self._space.to_values(row) for row in whole]
-
-    def _score(self, values: Sequence[Sequence[float]], draws: int | None = None) -> list[float]:
-        """Return the objective at some points with hard resets, on all or the first draws."""
-        study = self._study
-        if draws is not None and not study.is_recorded:
-            study = study.replace({"tune.tune_draws": draws})
-        scored = search.score_points(
-            study,
-            NAME,
-            [self._number] * len(values),
-            values,
-            lambda of: run.run(of, self._stored, curves=False, progress=False).summary,
+    points = search.points_at(space, number, np.concatenate([box, laws]))
+    scored = score_hard(study, stored, points)
+    ends = zip(points, scored.scores, strict=True)
+    return evaluations + [
+        Evaluation(
+            tune.descent_steps, *point, score, cost + scored.costs[-1], i if i < len(box) else None
         )
-        self._cost += scored.costs[-1]
-        return scored.scores
+        for i, (point, score) in enumerate(ends)
+    ]
+
+
+def score_hard(
+    study: Study,
+    stored: StoredRecord | None,
+    points: Sequence[SearchPoint],
+    draws: int | None = None,
+) -> search.PointScores:
+    """Return the objective at some points with hard resets, on all tuning draws or the first."""
+    if draws is not None and not study.is_recorded:
+        study = study.replace({"tune.tune_draws": draws})
+
+    def run_cases(derived: Study) -> pa.Table:
+        return run.run(derived, stored, curves=False, progress=False).summary
+
+    return search.score_points(study, GRADIENT, points, run_cases)
 
 
 # The objective of some descents and its gradient
@@ -185,6 +170,13 @@ class Softness(NamedTuple):
     window_s: float
     sharpness: float
 
+    @classmethod
+    def at_step(cls, tune: TuneSection, step: int) -> "Softness":
+        """Return that of a step, geometric from the first to the last."""
+        share = step / max(tune.descent_steps - 1, 1)
+        ends = (tune.relaxed_window_s, tune.relaxed_sharpness)
+        return cls(*(first * (last / first) ** share for first, last in ends))
+
 
 class _Lane(NamedTuple):
     """What lanes have in place of the method's params until they are run.
@@ -200,30 +192,13 @@ class _Lane(NamedTuple):
     width: Array | None
 
 
-class _Program(NamedTuple):
-    """Runs of all descents that share a program, and the program.
-
-    Attributes:
-        batch: of the runs, with variants for each descent.
-        params: points of all descents -> params of their variants, and derivatives.
-        layout: of the runs in chunks.
-        jitted: the program.
-        active: numbers of the leaves of the params that depend on the variables.
-    """
-
-    batch: Batch
-    params: Callable[[NDArray], tuple[Any, Any]]
-    layout: Layout
-    jitted: Any
-    active: tuple[int, ...]
-
-
 class Slope:
     """Relaxed objective of some descents and its gradient, for one combination of candidates.
 
     Attributes:
         draws: number of draws per step.
         n_draws: number of tuning draws.
+        cost: cost of one gradient of all descents, in steps of a plain run, tangents included.
     """
 
     def __init__(
@@ -240,23 +215,19 @@ class Slope:
             InputError: the record does not fit.
         """
         study = parameters.study
-        assert study.tune is not None
-        self._tune, self._parameters, self._starts = study.tune, parameters, starts
-        self._from_truth, self._rate_hz = success_criteria(study).from_truth, study.rate_hz
+        self._tune = search.require_tune(study)
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
         require_floor(derived)
         scenario = Scenario(derived, stored, curves=False)
-        batches = [(scenario.batch(i), scenario.keys(i)) for i in range(len(scenario.specs))]
-        self.n_draws = batches[0][0].n_draws
+        batches = [scenario.batch(number) for number in range(len(scenario.specs))]
+        self.n_draws = batches[0].n_draws
         self.draws = min(draws, self.n_draws)
-        self._programs = [self._program(*batch) for batch in batches]
-        self._draw_cost = search.total_steps(derived) / derived.n_draws
-
-    @property
-    def cost(self) -> int:
-        """Cost of one gradient of all descents, in steps of a plain run, tangents included."""
-        tangents = TANGENT_STEPS * len(self._parameters.variables)
-        return round(self._starts * self.draws * self._draw_cost * (1 + tangents))
+        self._programs = [
+            _Program(parameters, batch, scenario.keys(number), starts, self.draws)
+            for number, batch in enumerate(batches)
+        ]
+        plain = starts * self.draws * search.total_steps(derived) / derived.n_draws
+        self.cost = round(plain * (1 + TANGENT_STEPS * len(parameters.variables)))
 
     def __call__(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return the objective of each descent, (starts,), and its gradient, (starts, p).
@@ -266,117 +237,125 @@ class Slope:
             draws: (draws,) indices of the draws to use.
             softness: degree of relaxation.
         """
-        by_program = [self._run(program, box, draws, softness) for program in self._programs]
+        by_program = [program.run(box, draws, softness) for program in self._programs]
         runs, slopes = (np.concatenate(parts, axis=1) for parts in zip(*by_program, strict=True))
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
 
-    def _program(self, batch: Batch, keys: Variants) -> _Program:
-        """Return the program of a batch with lanes for each descent and variant."""
-        of_starts = jax.tree.map(
-            lambda a: np.concatenate([np.asarray(a)] * self._starts), batch.params
+
+class _Program:
+    """Runs of all descents that share a compiled program, with lanes for each start and variant."""
+
+    def __init__(
+        self, parameters: "TunedParams", batch: Batch, keys: Variants, starts: int, draws: int
+    ) -> None:
+        study = parameters.study
+        self._tune, self._from_truth = (
+            search.require_tune(study),
+            success_criteria(study).from_truth,
         )
-        batch = batch._replace(params=of_starts)
-        params = self._parameters.differentiate(batch.spec.method, keys)
-        middle = np.full((self._starts, len(self._parameters.variables)), 0.5)
-        _, slopes = params(middle)
-        active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
-        variants, devices = batch.n_variants, len(jax.devices())
-        runs = self.draws * variants
+        self._rate_hz, self._moves_resets = study.rate_hz, parameters.moves_resets
+        self._starts, self._params = starts, parameters.differentiate(batch.spec.method, keys)
+        repeated = jax.tree.map(lambda a: np.concatenate([np.asarray(a)] * starts), batch.params)
+        self._batch = batch._replace(params=repeated)
+        self._p = len(parameters.variables)
+        _, slopes = self._params(np.full((starts, self._p), 0.5))
+        # The leaves of the params that depend on the variables.
+        self._active = [i for i, leaf in enumerate(jax.tree.leaves(slopes)) if np.any(leaf)]
+        variants, devices = self._batch.n_variants, len(jax.devices())
         # Few runs need fewer lanes; a call has at least two blocks for each device.
-        lanes = min(LANES, 1 << (max(runs // (2 * devices), 8) - 1).bit_length())
-        tiles = -(-runs // (lanes * devices))
-        layout = Layout(batch.spec, self.draws, variants, tiles_per_chunk=tiles, lanes=lanes)
-        jitted = jax.jit(partial(self._differentiate, batch.spec))
-        return _Program(batch, params, layout, jitted, (*active,))
+        lanes = min(LANES, 1 << (max(draws * variants // (2 * devices), 8) - 1).bit_length())
+        tiles = -(-draws * variants // (lanes * devices))
+        self._layout = Layout(batch.spec, draws, variants, tiles_per_chunk=tiles, lanes=lanes)
+        self._jitted = jax.jit(self._differentiate)
 
-    def _run(
-        self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
-    ) -> tuple[NDArray, NDArray]:
+    def run(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        jitted, variants, p = program.jitted, program.batch.n_variants, box.shape[1]
-        arguments = self._arguments(program, box, draws, softness)
-        jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
+        arguments = self._arguments(box, draws, softness)
+        self._jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = map_in_threads(
-            lambda call: jax.device_get(jitted(*call)), arguments, len(jax.devices())
+            lambda call: jax.device_get(self._jitted(*call)), arguments, len(jax.devices())
         )
-        values = np.empty((len(draws), variants))
-        slopes = np.empty((len(draws), variants, p))
+        values = np.empty((self._batch.n_variants, len(draws)))
+        slopes = np.empty((*values.shape, self._p))
         for number, (value, slope) in enumerate(calls):
-            runs = program.layout.active(number)
-            values[runs.draw, runs.variant] = value.reshape(-1)[runs.lane]
-            by_lane = np.moveaxis(slope, -2, -1).reshape(-1, p)
-            slopes[runs.draw, runs.variant] = by_lane[runs.lane]
-        shape = (len(draws), self._starts, variants // self._starts)
-        return (
-            np.moveaxis(values.reshape(shape), 0, 2),
-            np.moveaxis(slopes.reshape(*shape, p), 0, 2),
-        )
+            runs = self._layout.active(number)
+            values[runs.variant, runs.draw] = value.ravel()[runs.lane]
+            by_lane = np.moveaxis(slope, -2, -1).reshape(-1, self._p)
+            slopes[runs.variant, runs.draw] = by_lane[runs.lane]
+        shape = self._starts, -1, len(draws)
+        return values.reshape(shape), slopes.reshape(*shape, self._p)
 
-    def _arguments(
-        self, program: _Program, box: NDArray, draws: NDArray, softness: Softness
-    ) -> list[tuple]:
-        """Return the arguments of every call of a program."""
-        batch = program.batch.select_draws(draws)
-        params, slopes = program.params(box)
-        width = None
-        if self._parameters.moves_resets:
+    def _arguments(self, box: NDArray, draws: NDArray, softness: Softness) -> list[tuple]:
+        """Return the arguments of every call."""
+        batch, layout = self._batch.select_draws(draws), self._layout
+        params, slopes = self._params(box)
+        leaves, width = jax.tree.leaves(slopes), None
+        if self._moves_resets:
             width = np.full(batch.n_variants, softness.window_s * self._rate_hz)
-        leaves = jax.tree.leaves(slopes)
-        lane = _Lane(params, {i: leaves[i] for i in program.active}, width)
+        lane = _Lane(params, {i: leaves[i] for i in self._active}, width)
         batch = batch._replace(params=batch.params._replace(method=lane))
         # What is only reported has no part in the objective, nor in its derivatives.
-        environment, layout = batch.environment, program.layout
-        soft = environment.criteria._replace(
+        criteria = batch.environment.criteria._replace(
             sharpness=np.float64(softness.sharpness), report_samples=None
         )
-        environment = environment._replace(criteria=soft)
+        environment = batch.environment._replace(criteria=criteria)
         return [
             (environment, layout.tiles_of(batch, call), np.int32(layout.blocks(call)))
             for call in range(len(layout))
         ]
 
     def _differentiate(
-        self, spec: ProgramSpec, environment: Environment, tiles: Tiles, blocks: Count
+        self, environment: Environment, tiles: Tiles, blocks: Count
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""
+        spec = self._batch.spec
 
-        def tile_values(tile: Tiles, active: dict[int, Array]) -> Array:
+        def tile_values(tile: Tiles, change: Array) -> Array:
             lane: _Lane = tile.params.method
             leaves, structure = jax.tree.flatten(lane.params)
-            method = structure.unflatten(active.get(i, leaf) for i, leaf in enumerate(leaves))
+            for i, slope in lane.slopes.items():
+                leaves[i] = leaves[i] + jnp.einsum("lp...,p->l...", slope, change)
+            method = structure.unflatten(leaves)
             method = method if lane.width is None else smooth_resets(method, lane.width)
             lanes = tile._replace(params=tile.params._replace(method=method))
             outcome, _ = run_tile(spec, environment, lanes)
-            return objective.relaxed_values(
-                self._tune, environment.criteria, outcome, truth=self._from_truth
-            )
+            criteria = environment.criteria
+            return objective.relaxed_values(self._tune, criteria, outcome, truth=self._from_truth)
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
-            lane = tile.params.method
-            leaves = jax.tree.leaves(lane.params)
-            directions = {i: jnp.moveaxis(slope, 1, 0) for i, slope in lane.slopes.items()}
-            active = {i: leaves[i] for i in directions}
-            return sensitivities(partial(tile_values, tile), active, directions)
+            return sensitivities(partial(tile_values, tile), jnp.zeros(self._p))
 
         values: tuple[Array, Array] = map_tiles(spec, differentiate_tile, tiles, blocks)
         return values
 
 
-def sensitivities(function: Callable[[Any], Any], point: Any, directions: Any) -> tuple[Any, Any]:
-    """Return value and derivatives of a function of a tree of arrays, in one forward pass.
+def sensitivities(function: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
+    """Return value and derivatives of a function at a point, (p,), in one forward pass.
 
-    The directions have, and the derivatives get, a leading axis of p before the shape of the point.
+    The derivatives have a leading axis of p.
     """
 
-    def derivative(direction: Any) -> tuple[Any, Any]:
+    def derivative(direction: Array) -> tuple[Any, Any]:
         return jax.jvp(function, (point,), (direction,))
 
     # The value does not depend on the direction, so it is computed once for all of them.
-    return jax.vmap(derivative, out_axes=(None, 0))(directions)
+    return jax.vmap(derivative, out_axes=(None, 0))(jnp.eye(len(point)))
 
 
 # What the variables do to the params of methods
+
+
+class _TracedColumn(CodedColumn):
+    """A column whose choices are traced numbers."""
+
+    def map(self, function: Callable[[Any], Any]) -> "_TracedColumn":
+        """Return the column of a function of the values."""
+        return _TracedColumn(self.codes, tuple(map(function, self.choices)))
+
+    def expand(self, dtype: Any = float) -> Any:
+        """Return the values as an array, (variants, ...)."""
+        return jnp.stack([jnp.asarray(choice) for choice in self.choices])[self.codes]
 
 
 class _TunedKeys(Variants):
@@ -386,45 +365,16 @@ class _TunedKeys(Variants):
         self.__dict__ |= vars(keys)
         self._tuned = tuned
 
-    def column(self, key: str, factor: float = 1.0) -> Any:
-        """Return numbers times a factor, (variants,); NaN if the key is left out."""
-        if key not in self._tuned:
-            return super().column(key, factor)
-        return jnp.full(self.count, self._tuned[key] * factor)
-
-    def si(self, key: str) -> Any:
-        """Return numbers in SI units, (variants,); NaN if the key is left out."""
-        return self.column(key, si_factor(key, self.micro_g))
-
-    def compute(self, function: Callable[..., Any], *keys: str, dtype: Any = float) -> Any:
-        """Return a function of the values of some keys, (variants, ...)."""
+    def coded(self, *keys: str) -> CodedColumn:
+        """Return the column of these variants, a traced one if any of the keys is tuned."""
+        column = super().coded(*keys)
         if self._tuned.keys().isdisjoint(keys):
-            return super().compute(function, *keys, dtype=dtype)
-        return self._by_variant(function, keys, lambda found: [jnp.asarray(one) for one in found])
-
-    def lists(self, function: Callable[..., Any], *keys: str, padding: float) -> Any:
-        """Return lists of a function of some keys, (variants, longest), padded with ``padding``."""
-        if self._tuned.keys().isdisjoint(keys):
-            return super().lists(function, *keys, padding=padding)
-
-        def pad(found: list[Any]) -> list[Array]:
-            longest = max(map(len, found))
-            return [jnp.asarray([*one, *[padding] * (longest - len(one))]) for one in found]
-
-        return self._by_variant(function, keys, pad)
-
-    def _by_variant(
-        self, function: Callable[..., Any], keys: tuple[str, ...], to_arrays: Callable
-    ) -> Array:
-        """Return a function of keys once per combination, expanded over the variants."""
-        column = self.coded(*keys)
-        used, codes = np.unique(column.codes, return_inverse=True)
-        rows = [column.choices[code] if len(keys) > 1 else (column.choices[code],) for code in used]
-        found = [
-            function(*(self._tuned.get(key, value) for key, value in zip(keys, row, strict=True)))
-            for row in rows
-        ]
-        return jnp.stack(to_arrays(found))[codes]
+            return column
+        if len(keys) == 1:
+            return _TracedColumn(column.codes, tuple(self._tuned[keys[0]] for _ in column.choices))
+        rows = (zip(keys, row, strict=True) for row in column.choices)
+        choices = (tuple(self._tuned.get(key, value) for key, value in row) for row in rows)
+        return _TracedColumn(column.codes, tuple(choices))
 
 
 class TunedParams:
@@ -490,8 +440,7 @@ class TunedParams:
         at = partial(self.at, method, keys)
 
         def of_start(place: Array) -> tuple[Any, Any]:
-            directions = jnp.eye(len(place))
-            value, slope = sensitivities(at, place, directions)
+            value, slope = sensitivities(at, place)
             return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
 
         of_starts = jax.jit(jax.vmap(of_start))

@@ -1,4 +1,4 @@
-"""What a tuning run stores: its history, one row per evaluated point, and the study that it tunes.
+"""The history of a tuning run: one row per evaluated point, sealed with the study that it tunes.
 
 Reading it needs no JAX, so a report starts without it.
 """
@@ -15,18 +15,36 @@ from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import MANIFEST, STUDY
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import atomic_write
 from sinsjax.study.keys import TomlTable, key_meaning
-from sinsjax.study.load import load_study, study_from_dict, study_to_toml
+from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.units import split_unit
 
-FILE = "history.parquet"
+FILE, TUNED, EVALUATION = "history.parquet", "tuned.toml", "evaluation"
+"""Names in the directory of a tuning run."""
 _STUDY_MARK = "sinsjax.tuning"
 _F, _I, _S = pa.float64(), pa.int64(), pa.string()
+
+
+class SearchPoint(NamedTuple):
+    """A point of a search space.
+
+    Attributes:
+        candidate: number of its combination of candidates.
+        values: one per variable, in the units of the file; NaN for unused variables.
+    """
+
+    candidate: int
+    values: Sequence[float]
+
+    def keys(self, space: SearchSpace) -> TomlTable:
+        """Return its keys and values; the values of unused variables do not matter."""
+        return space.make_point(
+            list(np.nan_to_num(self.values)), space.combinations[self.candidate]
+        )
 
 
 class Evaluation(NamedTuple):
@@ -75,16 +93,9 @@ class SearchResult(NamedTuple):
         """Cost of the whole search, in steps of a plain run."""
         return max(evaluation.cost for evaluation in self.evaluations)
 
-    @property
-    def relaxed_evaluations(self) -> list[Evaluation]:
-        """The relaxed evaluations, those of descents."""
-        return [e for e in self.evaluations if e.sharpness is not None]
-
     def point(self, space: SearchSpace) -> TomlTable:
         """Return the keys and values of the best point."""
-        # The value of an unused variable does not matter.
-        values = np.nan_to_num(self.best.values)
-        return space.make_point(list(values), space.combinations[self.best.candidate])
+        return SearchPoint(self.best.candidate, self.best.values).keys(space)
 
 
 def history_columns(space: SearchSpace) -> tuple[Column, ...]:
@@ -148,39 +159,25 @@ def read_history(directory: str | Path) -> pa.Table:
         >>> sinsjax.read_history("tuned").select(["search", "reset_times_s[0]"]).num_rows
         5
     """
-    table = _read_table(Path(directory))
+    table = _read_sealed(Path(directory))
     return table.replace_schema_metadata({"sinsjax.schema": SCHEMA_VERSION})
-
-
-def _read_table(directory: Path) -> pa.Table:
-    path = directory / FILE
-    try:
-        return sealed.read_sealed_parquet(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except sealed.DamagedError as error:
-        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None
 
 
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
     """Read the searches of a history, in their order.
 
     Raises:
-        InputError: the history cannot be read, or is of other variables.
+        InputError: the history cannot be read.
     """
-    table = read_history(directory)
-    missing = {column.name for column in history_columns(space)}.difference(table.column_names)
-    if missing:
-        raise InputError(f"{directory / FILE}: column {sorted(missing)[0]} is missing")
     searches: dict[str, list[Evaluation]] = {}
-    for row in table.to_pylist():
+    for row in read_history(directory).to_pylist():
         values = [np.nan if row[name] is None else row[name] for name in space.names]
         fields = {key: row[key] for key in Evaluation._fields if key != "values"}
         searches.setdefault(row["search"], []).append(Evaluation(**fields, values=values))
-    return [SearchResult(escape_controls(name), found) for name, found in searches.items()]
-
-
-# The study of a stored tuning run
+    return [
+        SearchResult(escape_controls(name).replace("_", " "), found)
+        for name, found in searches.items()
+    ]
 
 
 def is_tuning(directory: Path) -> bool:
@@ -190,40 +187,24 @@ def is_tuning(directory: Path) -> bool:
         InputError: one of its files or folders is a link or a pipe.
     """
     places.check_directory(directory)
-    if (directory / MANIFEST).exists():  # plain results of a study with [tune]
-        return False
-    return _study_text(directory) is not None or load_stored_study(directory) is not None
+    return (directory / FILE).exists()
 
 
 def load_tuned_study(directory: Path) -> Study:
-    """Load the study with [tune] of a tuning run.
+    """Load the study with [tune] of a tuning run, from its history.
 
     Raises:
-        InputError: it cannot be read, or is not the study of the history.
+        InputError: the history or the study in it cannot be read.
     """
-    path, text = directory / STUDY, _study_text(directory)
-    if text is not None and not (path.is_file() and path.read_bytes() == text.encode()):
-        remedy = "delete it: `sinsjax tune --resume` writes it again"
-        raise InputError(f"{path}: is not the study of the history ({remedy})")
-    return load_study(path)
+    text = (_read_sealed(directory).schema.metadata or {}).get(_STUDY_MARK.encode(), b"")
+    return study_from_dict(tomllib.loads(text.decode()), str(directory / FILE))
 
 
-def load_stored_study(directory: Path) -> Study | None:
-    """Return the study of a tuning run, from its history or else its file; None without one."""
-    text = _study_text(directory)
+def _read_sealed(directory: Path) -> pa.Table:
+    path = directory / FILE
     try:
-        if text is None:
-            study = load_study(directory / STUDY)
-        else:
-            study = study_from_dict(tomllib.loads(text), str(directory / FILE))
-    except (InputError, ValueError, RecursionError):
-        return None
-    return study if study.tune else None
-
-
-def _study_text(directory: Path) -> str | None:
-    """Return the study that a history tunes as TOML; None if there is no intact history."""
-    try:
-        return (_read_table(directory).schema.metadata or {})[_STUDY_MARK.encode()].decode()
-    except (InputError, KeyError, ValueError):
-        return None
+        return sealed.read_sealed_parquet(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except sealed.DamagedError as error:
+        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None

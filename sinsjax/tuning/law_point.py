@@ -21,15 +21,18 @@ from sinsjax.study.study import Study
 from sinsjax.study.sweep import COUNT, TIMES
 from sinsjax.units import ARCMIN, DEG
 
+LAW = "law"
+"""Name of the reset schedule by the law among the evaluated points."""
+
 _FIRST, _CYCLE, _HEADING = "reset_first_s", "reset_cycle_s", "phi_u0_deg"
 
 
 def law_point(study: Study, number: int = 0) -> NDArray | None:
-    """Return the reset schedule by the law as positions in the ranges, 0 to 1, clipped; (p,).
+    """Return the reset schedule by the law as positions of the variables, 0 to 1, clipped; (p,).
 
-    It has as many resets as a combination of candidates has times, or as are counted. If filters or
-    places differ, it is the schedule of the slowest. Unused variables are NaN. None if no variable
-    is one of a schedule, or the law has none.
+    They are those that a combination of candidates uses. It has as many resets as the combination
+    has times, or as are counted. If filters or places differ, it is the schedule of the slowest.
+    None if no variable is one of a schedule, or the law has none.
     """
     assert study.tune is not None
     space = SearchSpace.from_study(study)
@@ -46,9 +49,7 @@ def law_point(study: Study, number: int = 0) -> NDArray | None:
         _set_values(space, values, _schedule_by_law(study, point, combination))
     except (InputError, NoSchedule):
         return None
-    box = np.full(len(space.variables), np.nan)
-    box[used] = np.array(space.to_box(values))[used]
-    return box
+    return np.array(space.to_box(values))[used]
 
 
 def _set_values(space: SearchSpace, values: list[float], by_key: TomlTable) -> None:

@@ -1,6 +1,5 @@
 """Objective of a tuning run: a value for each run, and one score for all runs of a point."""
 
-from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -18,15 +17,6 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 from sinsjax.types import Array
 from sinsjax.units import ARCMIN
-
-_OVER_DRAWS: dict[str, Callable[[TuneSection, NDArray], NDArray]] = {
-    "settle_mean": lambda tune, values: np.mean(values, axis=-1),
-    "settle_quantile": lambda tune, values: np.quantile(
-        values, tune.objective_quantile, axis=-1, method="inverted_cdf"
-    ),
-    "final_error": lambda tune, values: np.sqrt(np.mean(values**2, axis=-1)),
-    "failure_rate": lambda tune, values: np.mean(values, axis=-1),
-}
 
 
 def summary_columns(tune: TuneSection, study: Study) -> list[str]:
@@ -73,7 +63,13 @@ def failure_score(tune: TuneSection, study: Study) -> float:
 
 def score(tune: TuneSection, values: NDArray) -> float:
     """Return the objective of some runs, (variants, draws) `run_values`, in their unit."""
-    by_variant = _OVER_DRAWS[tune.objective](tune, values)
+    if tune.objective == "settle_quantile":
+        q = tune.objective_quantile
+        by_variant = np.quantile(values, q, axis=-1, method="inverted_cdf")
+    elif tune.objective == "final_error":
+        by_variant = np.sqrt(np.mean(values**2, axis=-1))
+    else:
+        by_variant = np.mean(values, axis=-1)
     worst = tune.objective_across == "worst"
     return float(np.max(by_variant) if worst else np.mean(by_variant))
 

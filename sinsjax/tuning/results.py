@@ -12,10 +12,10 @@ from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
-from sinsjax.messages import to_one_line
+from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
-from sinsjax.study.identity import describe_differences, fingerprint
+from sinsjax.study.identity import fingerprint
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import load_study
 from sinsjax.study.schema import TuneSection
@@ -23,15 +23,9 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
-from sinsjax.tuning.history import Evaluation
-from sinsjax.tuning.run_tuning import (
-    EVALUATION,
-    GRADIENT,
-    LAW,
-    TUNED,
-    make_tuned_study,
-    require_tune,
-)
+from sinsjax.tuning.history import EVALUATION, TUNED, Evaluation
+from sinsjax.tuning.law_point import LAW
+from sinsjax.tuning.search import GRADIENT, require_tune
 
 SEARCH_LABELS = {
     "grid": "grid",
@@ -56,8 +50,7 @@ class TuningResults:
             new, so that its draws neither tuned nor evaluated.
 
     Raises:
-        InputError: it is not complete, cannot be read, or ``study.toml`` or ``tuned.toml`` has
-            changed since.
+        InputError: it is not complete, cannot be read, or has changed since.
 
     Examples:
         >>> changes = {"study.rate_hz": 10.0, "tune.searches": ["grid"], "tune.grid_points": 2}
@@ -76,27 +69,21 @@ class TuningResults:
         baseline and, where resets are tuned, the law's schedule.
         """
         self.directory = directory = Path(directory)
-        if not (directory / EVALUATION / "summary").is_dir() or not (directory / TUNED).exists():
-            raise _incomplete_error(directory)
+        self.search_study = history.load_tuned_study(directory)
+        if not (directory / TUNED).exists():  # which is written last
+            remedy = "`sinsjax tune --resume` continues it"
+            raise InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
+        self._space = SearchSpace.from_study(self.search_study)
+        searches = history.read_searches(directory, self._space)
+        self.searches = {result.search: result for result in searches}
         self.evaluation = Results.read(directory / EVALUATION)
         self.evaluation.directory = directory  # the one that reports name
         assert self.evaluation.draws  # checks that no run is missing
-        self.search_study = history.load_tuned_study(directory)
-        self._space = SearchSpace.from_study(self.search_study)
-        searches = history.read_searches(directory, self._space)
-        self.searches = {result.search.replace("_", " "): result for result in searches}
-        if not searches or self.case_numbers.keys() - {"baseline", LAW, *self.searches}:
-            raise _incomplete_error(directory)  # the evaluation is that of an earlier tuning run
         self.study = load_study(directory / TUNED)
-        point = self.searches[self.best_search].point(self._space)
-        best = make_tuned_study(self.search_study, point)
+        best = search.make_tuned_study(self.search_study, self.best)
         if fingerprint(self.study) != fingerprint(best):
-            named = ("in the tuning", "in the file")
-            differing = to_one_line("; ".join(describe_differences(best, self.study, named)))
-            raise InputError(
-                f"{directory / TUNED}: has changed since the tuning: {differing} (move it away:"
-                " `sinsjax tune --resume` writes it again)"
-            )
+            remedy = "move it away: `sinsjax tune --resume` writes it again"
+            raise InputError(f"{directory / TUNED}: has changed since the tuning ({remedy})")
 
     @cached_property
     def best(self) -> TomlTable:
@@ -130,21 +117,15 @@ class TuningResults:
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
-        return display.format_text(f"Tuning of {self.search_study.name}", self._facts())
-
-    def __dir__(self) -> list[str]:
-        """Return the names that a user needs, for the completion of interactive sessions."""
-        return ["baseline", "best", "directory", "law", "objective", "score", "search", "study"]
-
-    def _facts(self) -> dict[str, str]:
-        point = ", ".join(f"{key} = {_value_text(value)}" for key, value in self.best.items())
+        point = ", ".join(format_setting(key, format_value(v)) for key, v in self.best.items())
         score, baseline = map(format_estimate, (self.score, self.baseline))
-        return {
+        facts = {
             "objective": self.objective,
             "best": f"{point} ({self.search})",
             "score": f"{score}; baseline {baseline}",
             "stored": f"in {self.directory}",
         }
+        return display.format_text(f"Tuning of {self.search_study.name}", facts)
 
     # --- for reports ----------------------------------------------------------------------------
 
@@ -179,16 +160,16 @@ class TuningResults:
         """(cases, variants, draws) values of the runs for the objective, on the unused draws."""
         return self._run_values(self.search_study)
 
+    def _run_values(self, study: Study) -> NDArray:
+        table = self.evaluation.rows(objective.summary_columns(require_tune(study), study))
+        return search.point_values(study, self.evaluation.study, table)
+
     @cached_property
     def unsettled(self) -> NDArray | None:
         """(cases, variants, draws) whether runs never settle, if the objective is a time."""
         if not self.tune.objective.startswith("settle_"):
             return None
         return self._run_values(self.search_study.replace({"tune.objective": "failure_rate"})) > 0
-
-    def _run_values(self, study: Study) -> NDArray:
-        table = self.evaluation.rows(objective.summary_columns(require_tune(study), study))
-        return search.point_values(study, self.evaluation.study, table)
 
     def settled_share(self, name: str) -> Estimate | None:
         """Return the share of a candidate's runs on the unused draws that settle.
@@ -198,18 +179,16 @@ class TuningResults:
         if self.unsettled is None:
             return None
         settled = ~self.unsettled[self.case_numbers[name]]
-        draws = np.zeros if self.search_study.is_recorded else np.arange
-        clusters = np.tile(draws(settled.shape[1]).astype(int), len(settled))
-        return share(settled.ravel(), clusters)
+        draws = np.arange(settled.shape[1]) * (not self.search_study.is_recorded)
+        return share(settled.ravel(), np.tile(draws, len(settled)))
 
     @property
     def values_on_bounds(self) -> dict[str, list[tuple[Variable, float]]]:
         """Variables at an end of their range in each search's best point, with their values."""
         space, on_bounds = self._space, {}
         for name, result in self.searches.items():
-            best = result.best
-            used = space.used_variables(space.combinations[best.candidate])
-            point = [(space.variables[i], float(best.values[i])) for i in used]
+            used = space.used_variables(space.combinations[result.best.candidate])
+            point = [(space.variables[i], float(result.best.values[i])) for i in used]
             on_bounds[name] = [
                 (v, x) for v, x in point if not _AT_BOUND < v.position(x) < 1 - _AT_BOUND
             ]
@@ -219,8 +198,8 @@ class TuningResults:
         """Return points, (n, p), and objective of each descent of a combination of candidates."""
         result = self.searches.get(GRADIENT)
         descents: dict[int | None, list[Evaluation]] = {}
-        for step in result.relaxed_evaluations if result else ():
-            if step.candidate == number:
+        for step in result.evaluations if result else ():
+            if step.candidate == number and step.sharpness is not None:
                 descents.setdefault(step.start, []).append(step)
         return [
             (np.array([step.values for step in steps]), np.array([s.objective for s in steps]))
@@ -229,38 +208,24 @@ class TuningResults:
 
     def score_of(self, name: str) -> Estimate:
         """Return the objective of a candidate on the unused draws."""
-        runs = self.run_values[self.case_numbers[name]]
-        return self._estimate(lambda pick: objective.score(self.tune, runs[:, pick]))
+        return self._estimate(lambda pick: self._score(name, pick))
 
     def difference(self, name: str, other: str | None = None) -> Estimate:
         """Return the objective less that of another candidate, or of the rival, on equal draws."""
-        one, two = (self.run_values[self.case_numbers[n]] for n in (name, other or self.rival))
-        return self._estimate(
-            lambda pick: (
-                objective.score(self.tune, one[:, pick]) - objective.score(self.tune, two[:, pick])
-            )
-        )
+        other = other or self.rival
+        return self._estimate(lambda pick: self._score(name, pick) - self._score(other, pick))
+
+    def _score(self, name: str, draws: NDArray) -> float:
+        return objective.score(self.tune, self.run_values[self.case_numbers[name]][:, draws])
 
     def _estimate(self, score: Callable[[NDArray], float]) -> Estimate:
         """Return a score with its bootstrap interval over the draws; none on a record."""
-        every = np.arange(self.run_values.shape[2])
-        low = high = math.nan
+        every, low, high = np.arange(self.run_values.shape[2]), math.nan, math.nan
         if not self.search_study.is_recorded:
             low, high = bootstrap_interval(
                 lambda picks: np.array([score(pick) for pick in picks]), every
             )
         return Estimate(score(every), low, high, len(every))
-
-
-def _value_text(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value_text, value))}]"
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _incomplete_error(directory: Path) -> InputError:
-    remedy = "`sinsjax tune --resume` continues it"
-    return InputError(f"{directory}: holds a tuning run that is not complete ({remedy})")
 
 
 def describe_objective(study: Study) -> tuple[str, str]:

@@ -16,24 +16,40 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from sinsjax.errors import InputError
 from sinsjax.execution import results
 from sinsjax.execution.prepare import make_subjob
 from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
 from sinsjax.study import sampling, search_space
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import study_from_dict
+from sinsjax.study.load import study_from_dict, with_point
+from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import Sweep
 from sinsjax.tuning import objective
-from sinsjax.tuning.history import Evaluation, SearchResult
+from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
 from sinsjax.tuning.law_point import law_point
 
 ShowProgress = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 """(name of a search) -> context with its progress callback, if any."""
 
+DESIGNS, GRADIENT = ("grid", "sobol"), "gradient"
+"""Names of the searches."""
+
 _SEEDS = 2**63
+
+
+def require_tune(study: Study) -> TuneSection:
+    """Return the [tune] section of a study.
+
+    Raises:
+        InputError: there is none.
+    """
+    if study.tune is None:
+        raise InputError(f"{study.name}: has no [tune] section")
+    return study.tune
 
 
 class SearchSession(NamedTuple):
@@ -62,95 +78,67 @@ class SearchSession(NamedTuple):
         return self.directory / name
 
 
-# Designs
-
-
-class Design(NamedTuple):
-    """The points of a search.
-
-    Attributes:
-        candidate: (n,) number of each point's combination of candidates.
-        box: (n, p) positions of the variables in their ranges, 0 to 1; NaN for unused variables.
-    """
-
-    candidate: NDArray
-    box: NDArray
-
-
-def grid_design(study: Study, points: int) -> Design:
-    """Return the grid with so many points per variable, ends included, the last one fastest."""
-    places = np.linspace(0.0, 1.0, points)
-
-    def draw_points(_: int, count: int) -> NDArray:
-        return np.array(list(product(places, repeat=count))).reshape(-1, count)
-
-    return _design(study, draw_points)
-
-
-def sobol_design(study: Study, name: str, points: int) -> Design:
-    """Return so many scrambled Sobol points per combination of candidates.
+def sobol_boxes(study: Study, name: str, number: int, points: int) -> NDArray:
+    """Return scrambled Sobol points of a combination of candidates, (points, p), 0 to 1.
 
     The study's seed and the name of the search determine them; more do not change the first.
     """
     from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
-    seed = np.random.SeedSequence(study.seed, spawn_key=tuple(name.encode()))
-    seeds = seed.spawn(len(SearchSpace.from_study(study).combinations))
-
-    def draw_points(number: int, count: int) -> NDArray:
-        engine = qmc.Sobol(count, rng=np.random.Generator(np.random.PCG64(seeds[number])))
-        # A single point first, because scipy warns if the first call is not for 2^m points.
-        return np.concatenate([engine.random(1), engine.random(points - 1)])
-
-    return _design(study, draw_points)
-
-
-def _design(study: Study, draw_points: Callable[[int, int], NDArray]) -> Design:
-    """Return the design of points drawn by (combination, number p of variables) -> (n, p)."""
     space = SearchSpace.from_study(study)
-    candidates, boxes = [], []
+    seed = np.random.SeedSequence(study.seed, spawn_key=(*name.encode(), number))
+    used = len(space.used_variables(space.combinations[number]))
+    engine = qmc.Sobol(used, rng=np.random.Generator(np.random.PCG64(seed)))
+    # A single point first, because scipy warns if the first call is not for 2^m points.
+    return np.concatenate([engine.random(1), engine.random(points - 1)])
+
+
+def points_at(space: SearchSpace, number: int, boxes: Iterable[Any]) -> list[SearchPoint]:
+    """Return points of a combination of candidates by the positions of its variables, 0 to 1."""
+    points, used = [], space.used_variables(space.combinations[number])
+    for box in boxes:
+        whole = np.full(len(space.variables), np.nan)
+        whole[used] = box
+        points.append(SearchPoint(number, space.to_values(whole)))
+    return points
+
+
+def design_points(study: Study, name: str) -> list[SearchPoint]:
+    """Return the points of a grid or of Sobol points, after those of the law's reset schedules.
+
+    Each combination of candidates has them all; of a grid the last variable is the fastest.
+    """
+    tune, space = require_tune(study), SearchSpace.from_study(study)
+    laws, points = list[SearchPoint](), list[SearchPoint]()
     for number, combination in enumerate(space.combinations):
-        used = space.used_variables(combination)
-        points = draw_points(number, len(used)) if used else np.empty((1, 0))
-        box = np.full((len(points), len(space.variables)), np.nan)
-        box[:, used] = points
-        boxes.append(box)
-        candidates.append(np.full(len(points), number))
-    return Design(np.concatenate(candidates), np.concatenate(boxes))
+        if (law := law_point(study, number)) is not None:
+            laws += points_at(space, number, [law])
+        used = len(space.used_variables(combination))
+        boxes: Any = product(np.linspace(0.0, 1.0, tune.grid_points), repeat=used)
+        if name != "grid" and used:
+            boxes = sobol_boxes(study, name, number, tune.sobol_points)
+        points += points_at(space, number, boxes)
+    return laws + points
 
 
-def add_law_points(study: Study, design: Design) -> Design:
-    """Return a design that begins with the points of the law's reset schedules."""
-    points = {number: law_point(study, number) for number in np.unique(design.candidate).tolist()}
-    found = {number: box for number, box in points.items() if box is not None}
-    candidate = np.array([*found, *design.candidate], design.candidate.dtype)
-    return Design(candidate, np.array([*found.values(), *design.box]))
-
-
-# Scores of points
-
-
-def evaluate_design(
-    study: Study, name: str, design: Design, session: SearchSession
-) -> SearchResult:
-    """Evaluate the points of a design on the tuning draws, in a directory with the search's name.
+def search_points(study: Study, name: str, session: SearchSession) -> SearchResult:
+    """Evaluate the points of a search on the tuning draws, in a directory with its name.
 
     Raises:
         InputError: the directory cannot be used, or the record does not fit.
         StudyInterrupted: the session was stopped.
     """
-    assert study.tune is not None
-    space, names = SearchSpace.from_study(study), objective.summary_columns(study.tune, study)
-    values, candidates = [space.to_values(box) for box in design.box], design.candidate.tolist()
+    columns = objective.summary_columns(require_tune(study), study)
+    points = design_points(study, name)
     scored = score_points(
         study,
         name,
-        candidates,
-        values,
-        lambda derived: results.read_summary(session.run(derived, name), names),
+        points,
+        lambda derived: results.read_summary(session.run(derived, name), columns),
     )
-    rows = zip(candidates, values, scored.scores, scored.costs, strict=True)
-    return SearchResult(name, [Evaluation(number, *row) for number, row in enumerate(rows)])
+    rows = zip(points, scored.scores, scored.costs, strict=True)
+    found = [Evaluation(i, *point, score, cost) for i, (point, score, cost) in enumerate(rows)]
+    return SearchResult(name, found)
 
 
 class PointScores(NamedTuple):
@@ -163,8 +151,7 @@ class PointScores(NamedTuple):
 def score_points(
     study: Study,
     name: str,
-    candidates: Iterable[int],
-    values: Iterable[Sequence[float]],
+    points: Sequence[SearchPoint],
     run_cases: Callable[[Study], pa.Table],
 ) -> PointScores:
     """Score some points; each distinct one is a case of a study.
@@ -172,24 +159,18 @@ def score_points(
     Args:
         study: study with [tune].
         name: name of the search.
-        candidates: number of the combination of candidates of each point.
-        values: values of the variables of each point; NaN for unused variables.
+        points: the points.
         run_cases: runs a study; gives its summary, with `objective.summary_columns`.
     """
-    assert study.tune is not None
     space = SearchSpace.from_study(study)
-    cases: dict[str, TomlTable] = {}
+    keys = [point.keys(space) for point in points]
     case_of: dict[tuple[Any, ...], int] = {}
-    numbers: list[int] = []
-    for candidate, row in zip(candidates, values, strict=True):
-        point = space.make_point(list(np.nan_to_num(row)), space.combinations[candidate])
-        number = case_of.setdefault(tuple(point.values()), len(cases))
-        if number == len(cases):
-            cases[f"{name} {len(numbers)}"] = point
-        numbers.append(number)
+    numbers = [case_of.setdefault(tuple(one.values()), len(case_of)) for one in keys]
+    first = [numbers.index(case) for case in range(len(case_of))]
+    cases = {f"{name} {number}": keys[number] for number in first}
     derived = derive_study(study, cases, name=f"{study.name}_{name}")
     by_case = point_values(study, derived, run_cases(derived))
-    scores = [objective.score(study.tune, by_case[number]) for number in numbers]
+    scores = [objective.score(require_tune(study), by_case[number]) for number in numbers]
     costs = total_steps(derived) // len(cases) * (np.maximum.accumulate(numbers) + 1)
     return PointScores(scores, costs.tolist())
 
@@ -199,8 +180,7 @@ def point_values(study: Study, derived: Study, table: pa.Table) -> NDArray:
 
     The points are the cases of the derived study, and the table has `objective.summary_columns`.
     """
-    assert study.tune is not None
-    values = objective.run_values(study.tune, derived, table)
+    values = objective.run_values(require_tune(study), derived, table)
     return values.reshape(len(derived.cases), -1, values.shape[-1])
 
 
@@ -210,9 +190,12 @@ def total_steps(study: Study) -> int:
     return int(records.sum()) * study.record_every * study.n_draws
 
 
-def unused_seed(study: Study) -> int:
-    """Return a seed whose draws neither tune a study with [tune] nor evaluate it."""
-    return (study.seed + 2) % _SEEDS
+def make_tuned_study(study: Study, point: TomlTable) -> Study:
+    """Return the study of ``tuned.toml``: with a point, on draws not used so far."""
+    tuned = with_point(study, point)
+    if study.is_recorded:
+        return tuned
+    return tuned.replace({"study.seed": (study.seed + 2) % _SEEDS})
 
 
 def derive_study(
@@ -229,9 +212,7 @@ def derive_study(
         name: name of the new study.
         evaluation: whether to use the evaluation draws.
     """
-    tune = study.tune
-    assert tune is not None
-    keys = next(iter(points.values()))
+    tune, keys = require_tune(study), next(iter(points.values()))
     tables = search_space.remove_keys(study_to_tables(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:

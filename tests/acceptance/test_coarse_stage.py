@@ -93,7 +93,7 @@ REPORTED: dict[str, dict[str, Any]] = {
     },
     "coarse": {
         "coarse": {"coarse_duration_s": 3.0},
-        "passes": {"stored_s": 4.0, "direction": "rewind"},
+        "passes": {"stored_s": 4.0},
         "axes": {
             "arm": {
                 "coarse_method": ["none", "inertial", "inertial"],

@@ -35,7 +35,7 @@ def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
     method = importlib.import_module("averaged_alignment.method").AVERAGED.build(Options(0.01))
     check_plugin("it", method, np.array([0.5]), 1, None)
     with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
-        check_plugin("it", method, np.array([0.5]), 1, None, passes="alternate")
+        check_plugin("it", method, np.array([0.5]), 1, None, is_reversed=True)
 
 
 @pytest.fixture(scope="module")
@@ -92,29 +92,19 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
 EDITS = {
     "broken entry point": (
         (POINTS, "method:", "nowhere:"),
-        f"{SOURCE}cannot be loaded (ModuleNotFoundError: No module named 'averaged_alignment."
-        "nowhere')",
-        "",
+        f"{SOURCE}ModuleNotFoundError: No module named 'averaged_alignment.nowhere'",
     ),
     "key of a study": (
         (METHOD, "averaging_time_s", "duration_s"),
         f"{BROKEN}{WHOSE}[averaged] duration_s is a key of [study]",
-        "",
-    ),
-    "error in a step": (
-        (METHOD, "turn = add(", "turn = state.nothing  # ("),
-        f"{WHOSE}AttributeError: '_State' object has no attribute 'nothing'",
-        "state.nothing",
     ),
     "another state": (
         (METHOD, ", force, turn)", ", force, n)"),
         f"{WHOSE}step, normalise or close returns _State(nav=Navigation(",
-        "",
     ),
     "params of one run": (
         (METHOD, "return 1 - 1", "return 0.5 #"),
         f"{WHOSE}params must return one value per variant",
-        "",
     ),
 }
 
@@ -124,7 +114,7 @@ EDITS = {
 def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(
     site: Path, tmp_path: Path, name: str
 ) -> None:
-    (file, old, new), line, marked = EDITS[name]
+    (file, old, new), line = EDITS[name]
     (tmp_path / "averages.toml").write_text(STUDY)
     changed = Path(shutil.copytree(site, tmp_path / "site"))
     text = (changed / file).read_text()
@@ -136,8 +126,4 @@ def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studie
     for ended in wrong:
         assert ended.returncode == 2 and ended.stderr.count("\n") == 1
         assert ended.stderr.startswith(f"error: {line}")
-        if marked:
-            lines = (changed / METHOD).read_text().splitlines()
-            (number,) = (number for number, code in enumerate(lines, 1) if marked in code)
-            assert ended.stderr.endswith(f", in {changed / METHOD}:{number}\n")
     assert not (tmp_path / "out").exists()

@@ -1,9 +1,7 @@
 """Advice: its numbers against draws, what it writes and refuses, and its doubts."""
 
 import json
-import re
 import tomllib
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,7 +16,6 @@ from sinsjax.advice.method import choose_method
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
 from sinsjax.advice.text import describe_advice
 from sinsjax.errors import InputError
-from sinsjax.study.changes import parse_changes
 
 FOG: dict[str, Any] = {
     "earth": {"latitude_deg": 48.0},
@@ -90,14 +87,6 @@ def test_settings_are_those_of_the_sheet_and_its_motion():
     assert advise().choice.sections == still.sections
 
 
-def test_noise_of_a_sample_is_the_density_at_the_rate():
-    sensors = {"gyro_noise_deg_per_h": 0.005 * 60 * 5, "accel_noise_ug": 30.0 * 5}
-    rest = {key: v for key, v in FOG["sensors"].items() if "instability" in key}
-    given = read_sheet(FOG | {"sensors": sensors | rest, "study": {"rate_hz": 25.0}})
-    assert choose_method(given).sections == choose_method(read()).sections
-    assert budget_of(given, 60.0).sigma == pytest.approx(budget_of(read(), 60.0).sigma, rel=1e-4)
-
-
 def test_numbers_as_json_are_those_of_the_advice():
     advice = advise(STEADY | {"advise.wanted_deg": 0.5})
     numbers = json.loads(json.dumps(advice.to_dict()))
@@ -112,7 +101,7 @@ def test_numbers_as_json_are_those_of_the_advice():
     cosine = np.cos(np.radians(48))
     sec = numbers["heading_rms_sec_latitude_arcmin"]
     assert sec == pytest.approx(numbers["heading_rms_arcmin"] * cosine)
-    assert numbers["settles_s"] is None and "no method at rest" in numbers["warnings"][0]
+    assert numbers["settles_s"] is None
 
 
 @pytest.mark.nightly(fast=("60.0",))
@@ -130,7 +119,7 @@ def test_sheet_without_drawn_biases_is_noise_alone():
     assert {*budget_of(sheet, 60.0).sources} <= {
         f"{a}_{b}" for a in ("gyro", "accel") for b in ("noise", "instability")
     }
-    assert len(sheet.doubts) == 2
+    assert len(sheet.doubts) == 1
 
 
 def test_turned_sheet_is_advised_as_it_turns():
@@ -145,18 +134,7 @@ def test_turned_sheet_is_advised_as_it_turns():
 def test_surging_base_that_turns_is_warned_of():
     motion = MOTIONS["surging"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
     advice = sinsjax.advise(FOG | {"motion": motion})
-    assert advice.choice.method == "kalman_surge" and advice.misses_turns
-    assert "turns" in advice.warnings[0]
-    assert not replace(advice, sheet=read(motion="surging")).misses_turns
-
-
-def test_warning_names_the_keys_of_a_turn_that_helps():
-    bad = STEADY | {"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}
-    (warning,) = advise(bad).warnings
-    sets = re.findall(r"--set '([^']+)'", warning)
-    assert sets == ["motion.turn_times_s=[140.5]", "motion.turn_angles_deg=[180.0]"]
-    turned = advise(bad | parse_changes(sets))
-    assert turned.warnings == () and turned.heading.rms_arcmin < 100
+    assert advice.choice.method == "kalman_surge" and "turns" in advice.warnings[0]
 
 
 def test_band_is_reached_when_95_percent_are_within_it():
@@ -168,36 +146,22 @@ def test_band_is_reached_when_95_percent_are_within_it():
             assert (one.within_95_arcmin <= 60) == (one.time_s >= time_s)
 
 
-OF_SHEET = {"sec L, which is 5.76 at this latitude", "keep it", "lever arm at 0.17 m/s"}
-"""Warnings that follow from the sheet, whatever the sizes of its errors are."""
-
-
-@pytest.mark.nightly(fast=("drift", "latitude", "lever arm", "surge", "heading"))
+@pytest.mark.nightly(fast=("drift", "half degree"))
 @pytest.mark.parametrize(
-    ("changes", "options", "words"),
+    ("changes", "words"),
     [
-        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}, {}, "turned finds it"),
-        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 2.0]}}, {}, "beyond linear theory"),
-        ({}, {"latitude_deg": -80.0}, "sec L, which is 5.76 at this latitude"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 10.0]}}, "that is turned may find it"),
+        ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 2.0]}}, "beyond linear theory"),
         (
-            {"motion.vibration_deg_per_h_rms": 18_000.0, "motion.lever_arm_m": 2.0},
-            {},
-            "lever arm at 0.17 m/s",
+            {"motion.roll_amplitude_deg": 0.6, "motion.roll_period_s": 8.0},
+            "a surge of 0.1 m/s rms would make it",
         ),
-        (SURGE, {"time_s": 60.0}, "surge of the base is taken"),
-        ({"advise.known_heading_deg": 0.1}, {}, "keep it"),
-        ({"advise.wanted_deg": 0.1}, {}, "no method at rest gets under"),
     ],
-    ids=["no north", "drift", "latitude", "lever arm", "surge", "heading", "wanted"],
+    ids=["no north", "drift", "half degree"],
 )
-def test_what_can_go_wrong_is_a_warning(changes, options, words):
-    usual = advise(STEADY)
-    assert usual.warnings == ()
-    if words in OF_SHEET:
-        found = replace(usual, sheet=read(STEADY | changes, **options))
-    else:
-        found = advise(STEADY | changes, **options)
-    assert any(words in line for line in found.warnings)
+def test_what_can_go_wrong_is_a_warning(changes, words):
+    assert advise(STEADY).warnings == ()
+    assert any(words in line for line in advise(STEADY | changes).warnings)
 
 
 @pytest.mark.parametrize(
@@ -205,8 +169,8 @@ def test_what_can_go_wrong_is_a_warning(changes, options, words):
     [
         ({"sensors.gyro_arw_deg_per_sqrt_h": 0.5}, "usually 0.02 to 1 times"),
         ({"drawn.gyro_bias_deg_per_h": {"normal": [0.0, 0.005]}}, "0.005 deg/s are 18 deg/h"),
-        ({"drawn.gyro_bias_deg_per_h": {}}, "no turn-on bias of the gyros"),
-        ({"drawn.accel_bias_ug": {}}, "no turn-on bias of the accelerometers"),
+        ({"drawn.gyro_bias_deg_per_h": {}}, "no turn-on bias (gyro_bias_deg_per_h in"),
+        ({"drawn.accel_bias_ug": {}}, "no turn-on bias (accel_bias_ug in"),
     ],
 )
 def test_values_that_do_not_fit_are_doubts(changes, words):
@@ -216,25 +180,26 @@ def test_values_that_do_not_fit_are_doubts(changes, words):
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"sensors": {}}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
-        (
-            {"sensors.gyro_arw_deg_per_sqrt_h": 50.0},
-            "[sensors] gyro_arw_deg_per_sqrt_h: 50 0.0001 2",
-        ),
+        ({"sensors.gyro_noise_deg_per_h": 1.0}, "[sensors] gyro_arw_deg_per_sqrt_h: required"),
+        ({"sensors.gyro_arw_deg_per_sqrt_h": 50.0}, "[sensors] gyro_arw_deg_per_sqrt_h: 50 0 3"),
         (
             {"drawn.gyro_bias_deg_per_s": {"normal": [0.0, 1.0]}},
-            "[drawn] gyro_bias_deg_per_s: gyro_bias_deg_per_h 3600 0.0005 20000",
+            "[drawn] gyro_bias_deg_per_s: gyro_bias_deg_per_h 3600",
         ),
-        ({"sensors.gyro_arw": 0.01}, "[sensors] gyro_arw: gyro_arw_deg_per_sqrt_h 0.0001 2"),
+        ({"sensors.gyro_arw": 0.01}, "[sensors] gyro_arw: gyro_arw_deg_per_sqrt_h"),
         ({"drawn.accel_bias_ug": {"uniform": [0.0, 1.0]}}, "[drawn] accel_bias_ug: normal"),
         ({"drawn.gyro_bias_deg_per_h": {"normal": [0.5, 1.0]}}, "[drawn] gyro_bias_deg_per_h: 0.0"),
         (
             {"drawn.accel_vrw_ug_per_sqrt_hz": {"uniform": [10.0, 20.0]}},
             "[drawn] accel_vrw_ug_per_sqrt_hz: fixed",
         ),
-        ({"advise.time_s": 3.0}, "[advise] time_s: 10 7200 3"),
+        ({"advise.time_s": 3.0}, "[advise] time_s: 10 3"),
         ({"advise.tim_s": 3.0}, "[advise] tim_s: time_s"),
         ({"study.rate_hz": 102.4}, "[study] rate_hz: 102.4"),
+        (
+            {"motion.vibration_deg_per_h_rms": 18_000.0, "motion.lever_arm_m": 2.0},
+            "[motion] vibration_deg_per_h_rms: lever_arm_m",
+        ),
         ({"axes.latitude_deg": [1.0]}, "[axes]: sheet"),
         ({"alignment.method": "inertial"}, "[alignment]: sheet"),
         ({"earth": {}}, "[earth] latitude_deg: required"),

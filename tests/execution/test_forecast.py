@@ -14,7 +14,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import forecast, run
 from sinsjax.platform import machine
 from sinsjax.study.study import Study
-from sinsjax.tuning import from_python
+from sinsjax.tuning import run_tuning
 
 TUNE = {"searches": ["grid"], "grid_points": 5, "variables": {"p0_yaw_deg": {"low": 1, "high": 80}}}
 TUNE |= {"tune_draws": 4, "evaluation_draws": 8}
@@ -88,12 +88,12 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
     assert expected.runs == 5 * 4 + 2 * 8
     disk(free=35 * expected.run_bytes)
     with pytest.raises(InputError, match="the results of 36 runs need about"):
-        from_python.tune(study, tmp_path / "out")
+        run_tuning.tune(study, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     tables = {"tune": TUNE | {"searches": ["sobol", "gradient"], "sobol_points": 10**9}}
     disk(memory=1e12)
     with pytest.raises(InputError, match="of memory, but this machine has only 1 TB"):
-        from_python.tune(small_study(**tables), tmp_path / "out")
+        run_tuning.tune(small_study(**tables), tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.study import Study
-from sinsjax.tuning import run_tuning
+from sinsjax.tuning import history
 
 MAX_S = 2.0
 """Longest time of a case, s."""
@@ -178,7 +178,7 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: resume.check_available(directory, overwrite=False, resume=True),
         lambda: resume.check_available(directory, overwrite=True, resume=False),
         lambda: resume.continue_job(Job(study, directory=directory)),
-        lambda: run_tuning.is_tuning(directory),
+        lambda: history.is_tuning(directory),
         lambda: Results.read(directory),
         lambda: forecast.check_resources(
             study.name, expected, directory, overwrite=False, resume=True

@@ -361,12 +361,11 @@ def _score_tables(folder: Path) -> dict[str, Any]:
     changes = {"axes.method": ["inertial"], "study.draws": 4, "study.curves": False}
     study = sinsjax.load_study(HERE / "studies" / "inertial.toml", changes)
     export = sinsjax.export_study(study, folder / "export")
-    score = sinsjax.score_results(export, write_leveller(export), out=folder / "out")
+    score = sinsjax.score_results(export, write_leveller(export))
     tables = {
         "record": summarised(pyarrow.csv.read_csv(next(iter(sorted(export.glob("imu/*")))))),
         "initial": summarised(pyarrow.csv.read_csv(export / "initial.csv").drop_columns("study")),
-        "comparison": flattened(_numbers(score.comparison)),
-        "summary": summarised(sinsjax.read_summary(score.directory)),
+        "summary": summarised(score.summary),
     }
     return tables | {REPORT: reported(score.directory)}
 

@@ -13,9 +13,7 @@ from oracles.in_engine import dense, place
 from oracles.naive import DEG, PAPER, WGS84, exp, skew
 from oracles.naive_filters import about_up, unscented_transform, upright
 from scipy.linalg import expm
-from support.studies import small_study
 
-from sinsjax import run as run_study
 from sinsjax.methods import azimuth as model
 from sinsjax.methods import sincos, surge
 from sinsjax.methods.filters.kalman import Belief
@@ -110,29 +108,6 @@ def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     tolerance = 1e-9 / alpha**2 * 1e-3  # the textbook's weights cancel
     np.testing.assert_allclose(found.x, mean, rtol=0, atol=tolerance)
     np.testing.assert_allclose(found.p, spread[np.triu_indices(5)], rtol=0, atol=100 * tolerance)
-
-
-@pytest.mark.nightly
-def test_north_drift_estimate_and_sigma_are_consistent():
-    """Its sigmas cover its errors at the end, and the north drift comes out.
-
-    The filter believes the sensors' own noise.
-    """
-    bias = 0.5
-    study = small_study(
-        study={"draws": 128, "duration_s": 300.0, "rate_hz": 25.0, "window_s": [200, 300]},
-        sensors={"gyro_bias_deg_per_h": [0.0, bias, 0.0], "accel_bias_ug": 0.0},
-        motion={"yaw_center_deg": 0.0, "yaw_amplitude_deg": 0.0},
-        alignment={"method": "kalman_sincos"},
-        filter={"q_reading": "per_sample", "r_velocity_m_per_s": 1e-3},
-    )
-    summary = run_study(study).summary
-    drift, sigma = (
-        summary[f"gyro_north_drift{part}_deg_per_h"].to_numpy() for part in ("", "_sigma")
-    )
-    # The bias sways with pitch and roll, whose mean cosines are 0.9995 and 0.9991.
-    assert np.sqrt(np.mean(((drift - bias) / sigma) ** 2)) == pytest.approx(1, abs=0.25)
-    assert np.mean(drift) == pytest.approx(bias, abs=4 * sigma[0] / len(drift) ** 0.5 + 0.01)
 
 
 def test_surge_model_autocovariance_matches_bounded_velocity():

@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from sinsjax.engine.truth import align_by_program
 from sinsjax.maths import rotations
-from sinsjax.methods.coarse import align_analytically, align_by_program
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -33,10 +33,6 @@ pitches = st.floats(-80, 80)
 some = settings(max_examples=40, deadline=None)
 
 
-def still(pitch=0.0, roll=0.0, yaw=0.0) -> Motion:
-    return swinging(0.0, pitch, roll, yaw)
-
-
 def swinging(amplitude, pitch=0.0, roll=0.0, yaw=0.0) -> Motion:
     """Angles in degrees; [P1]'s periods."""
     sways = ((pitch, 6.0, 0.3), (roll, 8.0, 1.1), (yaw, 10.0, 2.0))
@@ -47,15 +43,10 @@ def at(latitude_deg) -> Place:
     return earth.place(earth.wgs84(), latitude_deg * DEG)
 
 
-NAMES = ("analytic", "inertial")
-
-
-def coarse(method: str, samples: Sample, place: Place, dt: float) -> Quat:
+def coarse(samples: Sample, place: Place, dt: float) -> Quat:
     """Attitude at the end of samples."""
-    site = Site(earth.wgs84(), place, 0.0)
-    if method == "analytic":
-        return align_analytically(samples, site, dt)
-    return align_by_program(METHODS[method].build(Options(dt)), samples, site)
+    program = METHODS["inertial"].build(Options(dt))
+    return align_by_program(program, samples, Site(earth.wgs84(), place, 0.0))
 
 
 @functools.partial(jax.jit, static_argnames="seconds")
@@ -64,11 +55,11 @@ def ideal(motion: Motion, place: Place, seconds: int = SECONDS) -> Array:
     return base_motion.ideal_increments(motion, place, RATE, round(seconds * RATE) + 1)
 
 
-@functools.partial(jax.jit, static_argnames="method")
-def error(method: str, increments: Array, place: Place, truth: Quat) -> Array:
+@jax.jit
+def error(increments: Array, place: Place, truth: Quat) -> Array:
     """Misalignment (rad) of the coarse attitude after the last increment."""
     samples = sensors.compensate_record(increments[1:], increments[0])
-    return jnp.stack(rotations.misalignment(truth, coarse(method, samples, place, DT)))
+    return jnp.stack(rotations.misalignment(truth, coarse(samples, place, DT)))
 
 
 def end(motion: Motion, increments: Array) -> Quat:
@@ -80,14 +71,12 @@ def end(motion: Motion, increments: Array) -> Quat:
 @example(-33.0, 0.0, 0.0, 180.0)
 @example(48.0, 0.0, 180.0, 0.0)
 @example(48.0, 0.0, 180.0, 180.0)
-def test_both_methods_are_exact_on_static_base(latitude, pitch, roll, yaw):
-    motion, place = still(pitch, roll, yaw), at(latitude)
+def test_coarse_alignment_is_exact_on_static_base(latitude, pitch, roll, yaw):
+    motion, place = swinging(0.0, pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
-    for method in NAMES:
-        east, north, up = error(method, increments, place, end(motion, increments))
-        # A rounding of the horizontal Earth rate turns the heading the more, the less there is.
-        north_rate = np.cos(latitude * DEG)
-        np.testing.assert_allclose([east, north, up * north_rate], 0, atol=1e-10)
+    east, north, up = error(increments, place, end(motion, increments))
+    # A rounding of the horizontal Earth rate turns the heading the more, the less there is.
+    np.testing.assert_allclose([east, north, up * np.cos(latitude * DEG)], 0, atol=1e-10)
 
 
 @some
@@ -95,23 +84,21 @@ def test_both_methods_are_exact_on_static_base(latitude, pitch, roll, yaw):
 def test_inertial_is_exact_at_interval_end_on_swinging_base(latitude, pitch, roll, yaw):
     motion, place = swinging(2.0, pitch, roll, yaw), at(latitude)
     increments = ideal(motion, place)
-    phi = error("inertial", increments, place, end(motion, increments))
+    phi = error(increments, place, end(motion, increments))
     np.testing.assert_allclose(phi, 0, atol=0.1 * ARCSEC)
 
 
-@pytest.mark.parametrize("method", NAMES)
-def test_constant_biases_leave_known_bias_floors(method):
+def test_constant_biases_leave_known_bias_floors():
     yaw, latitude = 40.0, 32.0
-    motion, place = still(yaw=yaw), at(latitude)
+    motion, place = swinging(0.0, yaw=yaw), at(latitude)
     increments = ideal(motion, place)
     c_nb = Rotation.from_euler("Z", yaw, degrees=True).as_matrix()
     eps, nabla = np.array([0.01, -0.02, 0.03]) * DEG_PER_H, np.array([30.0, 50.0, -40.0]) * MICRO
     biased = increments.at[:, GYRO].add(c_nb.T @ eps * DT)
     biased = biased.at[:, ACCEL].add(c_nb.T @ nabla * place.gravity * DT)
-    phi = error(method, biased, place, end(motion, increments))
+    phi = error(biased, place, end(motion, increments))
     phi_u = -eps[0] / place.rate_n + nabla[0] * np.tan(latitude * DEG)
-    since_the_middle = -eps[1] * SECONDS / 2 if method == "inertial" else 0.0
-    expected = [-nabla[1], nabla[0] + since_the_middle, phi_u]
+    expected = [-nabla[1], nabla[0] - eps[1] * SECONDS / 2, phi_u]
     np.testing.assert_allclose(phi, expected, rtol=0.01)
 
 
@@ -139,6 +126,4 @@ def test_inertial_matches_least_squares_velocity_fit_with_unknown_start():
     expected = jnp.stack(rotations.misalignment(truth, fit))
     limit = float(np.sqrt(30 / 7 / (SECONDS * RATE)) * 2 * force / SECONDS / place.rate_n)
     assert abs(expected[2]) > 0.1 * limit
-    np.testing.assert_allclose(
-        error("inertial", increments, place, truth), expected, atol=0.005 * limit
-    )
+    np.testing.assert_allclose(error(increments, place, truth), expected, atol=0.005 * limit)

@@ -161,23 +161,3 @@ def test_tangents_are_finite_at_zero_error(name):
     ones = jax.tree.map(lambda a: np.ones_like(a, dtype=float), point)
     tangent = jax.jit(lambda *given: jax.jvp(after, *given)[1])(point, ones)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(tangent))
-
-
-# Its passes over a stored record
-
-
-@pytest.mark.nightly(fast=("compass", "kalman10"))
-@pytest.mark.parametrize("name", [name for name in METHODS if method_of(name).passes])
-def test_rewound_state_is_that_of_a_new_start(name):
-    """But for the count of samples, with which schedules go on."""
-    method, given = method_of(name), numbers(name)
-    ended = flight(name)[0](START)
-    first = method.init(given, START)
-    if begin_after := method.passes.begin_after:
-        first = begin_after(first, np.float64(2 * RATE))
-    again = method.passes.rewind(given, START, ended)
-    assert jax.tree.structure(again) == jax.tree.structure(first)
-    for a, b in zip(*map(jax.tree.leaves, (again.nav, first.nav)), strict=True):
-        np.testing.assert_array_equal(a, b)
-    if method.covariance:
-        np.testing.assert_allclose(method.covariance(again), method.covariance(first), rtol=1e-12)

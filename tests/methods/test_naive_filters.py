@@ -94,8 +94,7 @@ class Run:
         filt, watcher = self.filt, None
         if self.trigger != "none":
             noise = {"q": filt.q, "r": filt.r, "p0": filt.p0, "dt": DT}
-            every = filt.every if filt.at_feedback else 1
-            watcher = Watcher(self.trigger, numbers, **noise, every=every)
+            watcher = Watcher(self.trigger, numbers, **noise)
         start = exp(-self.phi) @ PAPER1.matrix(0.0), V0, self.latitude
         passes = {"stored": self.stored, "count": self.count, "watcher": watcher}
         model = self.case.model
@@ -106,12 +105,10 @@ class Run:
         filt, params = self.filt, filter_params(self.filt)
         params = params._replace(extra=self.case.extra)
         if self.trigger != "none":
-            at_feedback = np.float64(1) if filt.at_feedback else None
-            trigger = TriggerParams(*map(np.float64, numbers), at_feedback)
-            params = params._replace(trigger=trigger)
+            params = params._replace(trigger=TriggerParams(*map(np.float64, numbers)))
         options = Options(DT, filt.force, filt.position, self.trigger, innovations=True)
         here, start = site(self.planet, self.latitude), (PAPER1.matrix(0.0), self.phi, V0)
-        passes = {"records": self.count, "stored": self.stored, "rewinds": filt.turn == "rewind"}
+        passes = {"records": self.count, "stored": self.stored}
         state = follow(self.name, params, self.rows, here, start, options=options, **passes)
         results = METHODS[self.name].build(options).results(here, state)
         return state, *shown(self.name, options, state), results
@@ -176,10 +173,9 @@ SCHEDULES = {
     "three passes": PASSES | {"turn": "carried"},
     "three passes, P inflated": PASSES | {"turn": "inflated"},
     "three passes, P reset": PASSES | {"turn": "reset"},
-    "three passes, rewound": PASSES | {"turn": "rewind", "at_feedback": True},
 }
 FAST = (
-    *("kalman5-partial feedback, yaw resets", "kalman10-three passes, rewound"),
+    *("kalman5-partial feedback, yaw resets", "kalman10-three passes, P reset"),
     *("kalman_sincos-feedback every sample", "kalman_surge-three passes"),
     "invariant-resets restart feedback",
 )
@@ -246,12 +242,9 @@ def threshold_at(scores, share):
 def test_triggered_resets_match_naive_filter(
     name, trigger, share, window, refractory, most, until, scheduled, every, stored, kind
 ):
-    """At a large misalignment, with scheduled resets between, and over turns of the record.
-
-    With feedback every few samples all resets wait for that, scheduled ones as well.
-    """
+    """At a large misalignment, with scheduled resets between, and over turns of the record."""
     changes = {"every": every, "gain": 0.6, "resets": (*scheduled,), "r": 1e-5, "kind": kind}
-    changes |= {"at_feedback": every > 1, "restarts": every == 7, "position": "fixed"}
+    changes |= {"at_feedback": every == 4, "restarts": every == 7, "position": "fixed"}
     large = {"phi_deg": (10.0, -8.0, 60.0), "trigger": trigger}
     run = Run(name, count=60, stored=stored, **large, **changes)
     numbers = Numbers(np.inf, window, refractory, most, until)

@@ -1,6 +1,5 @@
 """Plug-in methods: what loads; `acceptance` installs a package with one and breaks its promises."""
 
-import sys
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 from typing import Any
@@ -49,7 +48,6 @@ BUILT_IN = described("own", lagged=Lagged)
     ("function", "reason"),
     [
         (fails, "KeyError: 'nothing'"),
-        (lambda: sys.exit(3), "SystemExit: 3"),
         (lambda: described("own"), "there is already a method 'own'"),
         (lambda: described(made=Delayed), "[made] lag_s is a key of [lagged]"),
     ],

@@ -1,8 +1,6 @@
-"""Resets by their law: its information, its schedules, and predicted settling times."""
+"""Resets by their law: its information and its schedules."""
 
-import itertools
 import math
-import re
 from typing import Any
 
 import numpy as np
@@ -11,12 +9,10 @@ from support.commands import Command
 from support.refusals import Refusal, refused
 from support.studies import refusal_line, small_study
 
-from sinsjax import load_study, reset_schedule, run
+from sinsjax import run
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import Lane, predict_settling_times
-from sinsjax.platform.assets import asset_path
-from sinsjax.units import ARCMIN, DEG, DEG_PER_H
+from sinsjax.units import DEG, DEG_PER_H
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -117,51 +113,8 @@ def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
     assert found.times_s == pytest.approx(times_s, rel=0.03)
 
 
-# Predicted settling times
-
-QUICK = GRAVITY._replace(feedback_s=0.1)
-LEVEL = 5 * (1 + 1j) * DEG
-
-
-AXES = {
-    "reset_times_s": [[2.0, 4.0, 80.0], [2.0, 4.0, 60.0, 120.0]],
-    "phi_u0_deg": [10.0, 90.0, 150.0],
-    "p0_velocity_m_per_s": [0.1, 1.0],
-}
-MEASURED = {
-    "gravity": [125, 121, 198, 179, 293, 242, 141, 118, 196, 185, 251, 226],
-    "measured": [125, 121, 179, 188, 184, 231, 141, 118, 194, 185, 254, 207],
-}
-"""Settling times (s) of noise-free alignments over `AXES`, the last of which runs fastest."""
-
-
-@pytest.mark.parametrize("force", MEASURED)
-def test_prediction_is_what_measured_alignments_did(force: str) -> None:
-    problem = QUICK._replace(
-        velocity_noise=(500e-6 * G) ** 2 / 0.02, is_force_measured=force == "measured"
-    )
-    lanes = [
-        Lane(problem._replace(velocity=velocity), tuple(times), heading * DEG, LEVEL)
-        for times, heading, velocity in itertools.product(*AXES.values())
-    ]
-    ratio = predict_settling_times(lanes, 500.0) / np.array(MEASURED[force])
-    assert abs(np.median(ratio) - 1) < 0.04
-    np.testing.assert_allclose(ratio, 1, atol=0.08 if force == "gravity" else 0.16)
-
-
 PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
 PER_STEP |= {"r_reading": "psd"}
-
-
-def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
-    """Turned with the heading, the tilt makes 2 tan(phi/2) contract by 1 + s0^2 J."""
-    problem = QUICK._replace(measurement_noise=1e-4, velocity=10.0)
-    times = np.linspace(1.0, 600.0, 60_000)
-    for heading in (10.0, 90.0, 150.0):
-        ratio = 2 * np.tan(heading * DEG / 2) / (10 * ARCMIN)
-        law = np.interp(ratio, reset_law.contraction(times, problem), times)
-        (told,) = predict_settling_times([Lane(problem, (), heading * DEG)], 600.0)
-        assert told == pytest.approx(law, rel=0.01)
 
 
 # In a study
@@ -191,10 +144,7 @@ def test_schedules_by_name_are_swept_beside_times() -> None:
     rows = {(row["schedule"], row["draw_id"]): row for row in summary.to_pylist()}
     assert rows["trigger", 0]["triggered_count"] > 0 == rows["law", 0]["triggered_count"]
     assert rows["law", 1]["reset_times_s"] == list(law)
-    settled = rows["law", 0]["settle_10_s"]
-    assert rows["law", 0]["predicted_settle_s"] == pytest.approx(settled, rel=0.15)
-    assert rows["none", 0]["predicted_settle_s"] is None is rows["none", 0]["settle_10_s"]
-    assert rows["trigger", 0]["predicted_settle_s"] is None
+    assert rows["law", 0]["settle_10_s"] is not None is rows["none", 0]["settle_10_s"]
 
 
 @refused("""
@@ -218,20 +168,8 @@ def test_schedule_that_cannot_be_made_is_refused_in_one_line(refusal: Refusal) -
 def test_schedule_command_shows_times(sinsjax: Command) -> None:
     code, out, error = sinsjax("schedule", "paper1_resets")
     assert (code, error) == (0, "")
-    assert "2, 4, 6, 118 s" in out and re.search(r" 10' from 150 deg: 30\d s", out)
+    assert "2, 4, 6, 118 s" in out and "within 10' from 150 deg: 328 s" in out
     places = ["axes.latitude_deg=[32, 60]", 'axes.specific_force=["measured", "gravity"]']
     code, out, _ = sinsjax("schedule", "reset_sweep", "--set", places[0], "--set", places[1])
     gravity = [line for line in out.splitlines() if 'specific_force "gravity"' in line]
     assert code == 0 and any("latitude_deg 32, " in line and ": 2, " in line for line in gravity)
-
-
-def test_plan_states_what_noise_and_instability_add() -> None:
-    """The template sweep: 48 runs of the law from 150 deg have a median of 211 s, 90 % by 434 s."""
-    study = load_study(asset_path("configs/templates/sweep.toml"))
-    plan = reset_schedule(study)
-    assert plan.settling_s < 0.85 * 211 and plan.noisy_s == pytest.approx(211, rel=0.15)
-    assert plan.late_s > 434 and plan.median == "163 to 238 s" and plan.left_out == ()
-    quiet = reset_schedule("paper1_resets")
-    assert quiet.median == "301 s"
-    drifting = reset_schedule(study.replace({"sensors.accel_instability_ug": 10.0}))
-    assert drifting.left_out == ("accel_instability_ug",)

@@ -15,7 +15,7 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
 from sinsjax.maths.algebra import entries_as_numbers, triangle_index
 from sinsjax.methods import compass
-from sinsjax.methods.compass_design import AzimuthGains, LevelGains
+from sinsjax.methods.compass import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES
@@ -167,15 +167,13 @@ def follow(
     records: int,
     every: int = 1,
     stored: int | None = None,
-    rewinds: bool = False,
 ) -> Any:
     """The state of a method at every record of one run of the engine, leaves (records, ...).
 
     The run starts from an attitude, off by a phi (rad), with a velocity (m/s). Its truth is not
-    known. A record of ``stored`` records is read forward and backward in turn, or is rewound.
+    known. A record of ``stored`` records is read forward and backward in turn.
     """
-    passes = "rewind" if rewinds else "alternate"
-    spec = ProgramSpec(name, options, every, records, curves=False, passes=passes)
+    spec = ProgramSpec(name, options, every, records, curves=False, reverses=True)
     environment = Environment(
         site=here,
         errors=sensors.error_free_sensors(),

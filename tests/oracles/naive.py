@@ -171,7 +171,7 @@ class Clock:
     """When a filter feeds back and resets, told sample after sample from the ``first`` one on.
 
     Feedback comes ``every`` so many samples of a run, or of what follows a reset that ``restarts``
-    the clock; resets come when they are wanted, or wait for the feedback after that.
+    the clock; scheduled resets come in time, or wait for the feedback after that.
     """
 
     def __init__(self, filt, first=1):
@@ -181,9 +181,9 @@ class Clock:
     def look(self, k, called=False):
         """Whether feedback, and whether a reset is due after sample k, which may call for one."""
         feedback = (k - self.began) % self.filt.every == 0
-        self.waits = self.waits or called or k in self.filt.resets
-        reset = self.waits and (feedback or not self.filt.at_feedback)
-        self.waits = self.waits and not reset
+        self.waits = self.waits or k in self.filt.resets
+        scheduled = self.waits and (feedback or not self.filt.at_feedback)
+        self.waits, reset = self.waits and not scheduled, scheduled or called
         if reset and self.filt.restarts:
             self.began = k
         return feedback, reset
@@ -217,11 +217,11 @@ class Unwatched:
         """Take in that the record is turned, with x and P."""
 
 
-def wound_back(c, increments, dt, planet, latitude, gyro_bias=0.0):
-    """C_b^n before some increments that have led to c, of gyros with a bias in b, rad/s."""
+def wound_back(c, increments, dt, planet, latitude):
+    """C_b^n before some increments that have led to c."""
     w_ie, _ = planet.rates(latitude, (0.0, 0.0))
     theta, _ = compensate(increments)
-    for turn in Rotation.from_rotvec(theta - gyro_bias * dt).as_matrix()[::-1]:
+    for turn in Rotation.from_rotvec(theta).as_matrix()[::-1]:
         c = exp(w_ie * dt) @ c @ turn.T
     return c
 
@@ -266,19 +266,18 @@ class Update(NamedTuple):
     turns: bool
 
 
-def updates(increments, stored=None, count=None, *, rewind=False):
+def updates(increments, stored=None, count=None):
     """Forward and backward passes over ``stored`` samples, ``count`` updates, [P2] section 2.3.
 
     Backward, samples come last to first; the body turns back from where a sample ended, and the
     specific force is seen from there. ``turns`` marks the first update of every pass but the first.
-    Where the record is rewound, all passes are forward.
     """
     stored = stored or len(increments)
     theta, dvs = compensate(increments[:stored])
     turns = Rotation.from_rotvec(theta).as_matrix()
     for n in range(count or stored):
         number, place = divmod(n, stored)
-        if rewind or number % 2 == 0:
+        if number % 2 == 0:
             yield Update(n + 1, turns[place], dvs[place], 1, number > 0 and place == 0)
         else:
             back = turns[stored - 1 - place].T
@@ -328,7 +327,6 @@ class Model(NamedTuple):
         feed: (share of x, c, v) -> c, v corrected; v with the vertical velocity.
         kept: numbers of the states that are not fed back.
         corrected: (x, c) -> attitude with all that is estimated taken out.
-        rewound: x -> x that begins the record again.
         measured: (2, n) what of x is the level velocity of the solution; None: the first two.
         biases: 5 with biases of two accelerometers and three gyros, else 0.
     """
@@ -340,7 +338,6 @@ class Model(NamedTuple):
     feed: Callable
     kept: tuple[int, ...]
     corrected: Callable
-    rewound: Callable = np.zeros_like
     measured: np.ndarray | None = None
     biases: int = 0
 
@@ -381,28 +378,20 @@ def closed_loop(
     """Mechanise, predict, update, feed back and reset, sample after sample, over a stored record.
 
     The run starts with an attitude, a velocity and a latitude, before the update number ``first``.
-    A ``watcher`` of `naive_triggers` resets P in addition to the schedule. With turn "rewind" all
-    passes are forward, from the attitude wound back, with velocity zero and P0.
+    A ``watcher`` of `naive_triggers` resets P in addition to the schedule.
     """
     watcher, clock = watcher or Unwatched(), Clock(filt, first)
     c, v, latitude = start
     n, flip, biases = len(filt.p0), np.diag(model.signs), slice(len(filt.p0) - model.biases, None)
     x, p, bias, v = model.start, np.diag(filt.p0), np.zeros(model.biases), np.array([*v, 0.0])
     h = np.eye(n)[:2] if model.measured is None else model.measured
-    longitude, fixed, history, rewind = 0.0, latitude, [], filt.turn == "rewind"
-    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
+    longitude, fixed, history = 0.0, latitude, []
+    for k, turn, dv, way, turns in updates(increments, stored, count):
         if k < first:
             continue
-        if turns and rewind:
-            bias = bias + x[biases]
-            c, latitude, longitude = model.corrected(x, c), fixed, 0.0
-            drift = bias[2:] if model.biases else 0.0
-            c = wound_back(c, increments[:stored], dt, planet, fixed, drift)
-            v, x, p = np.zeros(3), model.rewound(x), np.diag(filt.p0)
-        elif turns:
+        if turns:
             p = {"carried": p, "inflated": filt.turn_factor * p}.get(filt.turn, np.diag(filt.p0))
             v, x, p, bias = -v, flip @ x, flip @ p @ flip.T, model.signs[biases] * bias
-        if turns:
             watcher.turn(x, p)
         earth = planet._replace(rate=way * planet.rate)
         at = latitude if filt.position == "integrated" else fixed
@@ -488,12 +477,9 @@ def compass_loop(increments, dt, planet, *, latitude, c, v, loops, stored=None, 
     The Earth turns back in a backward pass, so that K3 / omega_N changes its sign there.
     """
     integral, rate, force = np.zeros(2), 0.0, np.zeros((2, 2))  # stages x (east, north)
-    longitude, fixed, history, rewind = 0.0, latitude, [], loops.turn == "rewind"
-    for k, turn, dv, way, turns in updates(increments, stored, count, rewind=rewind):
-        if turns and rewind:
-            c, v = wound_back(c, increments[:stored], dt, planet, fixed), np.zeros(2)
-            latitude, longitude, force = fixed, 0.0, np.zeros((2, 2))
-        elif turns:
+    longitude, fixed, history = 0.0, latitude, []
+    for k, turn, dv, way, turns in updates(increments, stored, count):
+        if turns:
             c, v, integral, rate, force = turned_platform(
                 c, v, integral, rate, force, planet.g(fixed), loops.turn
             )

@@ -40,11 +40,6 @@ def _sincos_corrected(x, c):
     return levelled if np.hypot(s, cosine) < 0.05 else about_up(np.arctan2(s, cosine)) @ levelled
 
 
-def _sincos_rewound(x):
-    amplitude = np.hypot(x[4], 1 - x[5])
-    return np.array([0.0] * 5 + [1.0 if amplitude < 0.05 else 1 - amplitude])
-
-
 SINCOS = Model(
     np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0]),
     (4, 5),
@@ -53,7 +48,6 @@ SINCOS = Model(
     lambda fed, c, v: (upright(fed[2:4]) @ c, v - np.array([*fed[:2], 0.0])),
     (4, 5),
     _sincos_corrected,
-    _sincos_rewound,
 )
 
 
@@ -75,7 +69,6 @@ def surging(time):
         SINCOS.feed,
         (4, 5, 6, 7, 8, 9),
         SINCOS.corrected,
-        lambda x: np.array([*SINCOS.rewound(x), *[0.0] * 4]),
         np.hstack([one, none, one]),
     )
 

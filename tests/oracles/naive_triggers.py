@@ -65,22 +65,18 @@ SCORES = {f.__name__: f for f in (innovation, linearisation)}
 
 
 class Watcher(Unwatched):
-    """A trigger that watches a filter with process noise q and measurement noise r.
+    """A trigger that watches a filter with process noise q and measurement noise r."""
 
-    What it calls for comes ``every`` so many samples.
-    """
-
-    def __init__(self, name, numbers, *, q, r, p0, dt, every=1):
+    def __init__(self, name, numbers, *, q, r, p0, dt):
         """Begin with the covariance of the start."""
-        self.name, self.numbers, self.dt, self.every = name, numbers, dt, every
+        self.name, self.numbers, self.dt = name, numbers, dt
         self.q, self.r = np.diag(q), r * np.eye(2)
         self.trigger_counts, self.scores = [], []
         self.begin(0, p0 if np.ndim(p0) == 2 else np.diag(p0))
 
     def begin(self, k, p):
         """Forget all, after a reset of any kind that leaves P."""
-        self.reset_at, self.honest, self.fed = k, p, np.zeros(3)
-        self.seen, self.waits = [], False
+        self.reset_at, self.honest, self.fed, self.seen = k, p, np.zeros(3), []
 
     def turn(self, x, p):
         """Forget all but when it was reset: what was estimated before is no correction of now."""
@@ -103,14 +99,12 @@ class Watcher(Unwatched):
         full = self.name == "linearisation" or len(self.seen) % window == 0
         score = SCORES[self.name](self.seen, window, self.dt) if full else 0.0
         self.scores.append(score)
-        self.waits = self.waits or (
+        fires = (
             score > self.numbers.threshold
             and k - self.reset_at >= self.numbers.refractory
             and len(self.trigger_counts) < self.numbers.most
             and k <= self.numbers.until
         )
-        fires = self.waits and k % self.every == 0
-        self.waits = self.waits and not fires
         if fires:
             self.trigger_counts.append(k)
         return fires

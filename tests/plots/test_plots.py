@@ -77,25 +77,20 @@ def title_of(figure: Figure) -> str:
 # --- plot_map -----------------------------------------------------------------------------------
 
 
-def test_map_frames_cell_that_title_names():
-    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg")
-    assert title_of(figure) == "Soonest: 2 resets, every 10 s (180 s on average)"
+def test_map_frames_the_best_cell_in_every_panel_that_it_is_in():
+    best = {"reset_count": 2, "reset_cycle_s": 10.0}
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg", best=best)
     first, second = map_panels(figure)
     np.testing.assert_array_equal(shown(first), [[300, 300], [100, 200], [150, 180]])
-    assert [tick.get_text() for tick in first.get_yticklabels()] == ["none", "1", "2"]
+    assert [tick.get_text() for tick in first.get_yticklabels()] == ["0", "1", "2"]
     assert second.get_xlabel() == plots.axis_label("reset_cycle_s")
     assert np.ma.getmaskarray(shown(second))[0].all()  # never
-    assert first.get_title(loc="left").endswith("0 deg")
-    assert second.get_title(loc="left") == "30 deg"
-    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}  # 2 resets, every 10 s
-
-
-def test_map_title_names_best_choice_where_panels_are_choices():
-    table = run_table()
-    table = table.append_column("method", table["phi_u0_deg"].cast(pa.string()))
-    figure = sinsjax.plot_map(table, *MAP, "settle_10_s", by=["method"], pooled=[])
-    assert title_of(figure) == "Soonest: 1 reset at 10 s, method 0 (100 s on average)"
-    assert list(map(framed_cells, map_panels(figure))) == [{(-0.5, 0.5)}, set()]
+    titles = [panel.get_title(loc="left").replace("\n", " ") for panel in (first, second)]
+    assert titles == [f"initial heading error {start} deg" for start in (0, 30)]
+    assert framed_cells(first) == framed_cells(second) == {(-0.5, 1.5)}
+    best["phi_u0_deg"] = 30.0
+    figure = sinsjax.plot_map(run_table(), *MAP, "settle_10_s", by="phi_u0_deg", best=best)
+    assert list(map(framed_cells, map_panels(figure))) == [set(), {(-0.5, 1.5)}]
 
 
 def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
@@ -150,16 +145,6 @@ def test_map_of_unusable_runs_is_refused(table, line):
 def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
     line = [analysis.Estimate(*numbers, 9) for numbers in ends]
     assert has_significant_effect({"x": {"a": line}}) == expected
-
-
-def test_compare_states_best_value_of_choice_and_range_over_conditions():
-    table = run_table({point: time for point, time in SETTLE.items() if point[0]})
-    choice = title_of(
-        sinsjax.plot_compare(table, "reset_count", by=["reset_cycle_s", "phi_u0_deg"])
-    )
-    assert "1, time between resets 10 s" in choice and "(100 s)" in choice
-    over = sinsjax.plot_compare(table, "phi_u0_deg", by=MAP, condition=True)
-    assert title_of(over).endswith(": 100 to 400 s")
 
 
 @pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])
@@ -262,16 +247,16 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert reset.get_xdata()[0] == 1.0
     assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
     assert len(second.get_lines()) == 2  # neither resets nor a floor
-    assert title_of(figure).startswith("Heading error after 3 s: ")
 
 
-def test_sigma_of_level_is_dashed_on_both_sides_of_zero():
+def test_level_errors_have_panels_about_east_and_north():
     figure = sinsjax.plot_curves(curve_table([1]), level=True)
-    assert [axes.get_ylabel() for axes in figure.axes] == [
-        f"level error,\n{name} (arcmin)" for name in ("east", "north")
-    ]
-    dashed = [line for line in figure.axes[1].get_lines() if line.get_linestyle() == "--"]
-    assert sorted(line.get_ydata()[0] for line in dashed if len(line.get_ydata())) == [-101, 101]
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles == ["run id 1, east", "run id 1, north"]
+    for axes in figure.axes:
+        error, sigma = axes.get_lines()
+        np.testing.assert_allclose(error.get_ydata(), [101, 102, 103])
+        assert sigma.get_linestyle() == "--"
 
 
 def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
@@ -284,18 +269,26 @@ def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
 def test_lines_without_heading_have_no_panel():
     figure = sinsjax.plot_curves(curve_table([0, 1], without_heading=[1]))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 0"]
-    assert title_of(figure) == "Heading error after 3 s: 3 arcmin"
+    assert title_of(figure) == "Heading error"
 
 
-@pytest.mark.parametrize(("truth", "title"), [(True, "Level errors"), (False, "Pitch and roll")])
-def test_figure_without_any_heading_has_two_panels(truth, title):
+@pytest.mark.parametrize(("truth", "panels"), [(True, 4), (False, 2)])
+def test_figure_without_any_heading_shows_level_errors_or_pitch_and_roll(truth, panels):
     figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
-    assert len(figure.axes) == 2 and title_of(figure).startswith(title)
+    assert len(figure.axes) == panels and title_of(figure) == (
+        "Level error" if truth else "Attitude"
+    )
 
 
-def test_curves_of_other_runs_are_refused():
+def test_curves_of_other_runs_or_without_the_error_are_refused():
     with pytest.raises(InputError, match="no curves of these runs"):
         sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
+    curves, unknown = curve_table([0]), pa.nulls(3, pa.float64())
+    for axis in "en":
+        name = f"phi_{axis}_arcmin"
+        curves = curves.set_column(curves.column_names.index(name), name, unknown)
+    with pytest.raises(InputError, match="no level error of these runs"):
+        sinsjax.plot_curves(curves, level=True)
 
 
 def test_line_is_mean_and_band_of_95_percent_where_all_runs_have_values():

@@ -184,7 +184,7 @@ def study(**record: Any) -> Any:
             "study": {"duration_s": 10.0, "window_s": [0, 10]},
             "earth": {"earth": "wgs84", "latitude_deg": 45.0},
             "record": {"format": "arrays", **record},
-            "coarse": {"coarse_method": "analytic", "coarse_duration_s": 10.0},
+            "coarse": {"coarse_duration_s": 10.0},
             "alignment": {"method": "inertial"},
         }
     )

@@ -108,7 +108,7 @@ def test_two_position_record_keeps_its_method_and_is_not_levelled(motion):
         "study": {"duration_s": 280.0, "record_interval_s": 2.0, "window_s": [0, 280]},
         "earth": {"earth": "wgs84", "latitude_deg": 48.0},
         "record": {"format": "arrays"},
-        "coarse": {"coarse_method": "analytic", "coarse_duration_s": 20.0},
+        "coarse": {"coarse_duration_s": 20.0},
         "alignment": {"method": "gravity_fit"},
         "gravity_fit": {
             "fit_gyro_bias_deg_per_h": 10.0,

@@ -77,8 +77,7 @@ def continue_all(folder: Path) -> dict[str, pa.Table]:
         rerun = folder / name / "reruns" / str(run_id)
         tables[f"repeated {name}"] = pq.read_table(rerun / "summary.parquet")
     export = folder / "exported"
-    score = sinsjax.score_results(export, export / "results.csv", out=folder / "scored")
-    tables["scored"] = sinsjax.read_summary(score.directory)
+    tables["scored"] = sinsjax.score_results(export, export / "results.csv").summary
     return tables
 
 

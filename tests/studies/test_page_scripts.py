@@ -143,10 +143,8 @@ def test_which_alignment_prints_what_nine_tenths_stay_below(tmp_path, run):
 
 
 def test_reset_law_tables_are_means_and_medians_of_their_runs(tmp_path, run):
-    predicted = {"predicted_settle_s": lambda rng, count: rng.uniform(90, 800, count)}
-    own = ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase")
-    made = {name: stored(tmp_path, name, **predicted) for name in ("reset_law", "reset_law_map")}
-    made |= {name: stored(tmp_path, name) for name in own}
+    names = ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase")
+    made = {name: stored(tmp_path, name) for name in ("reset_law", "reset_law_map", *names)}
     tables, printed = run(reset_law, *(directory for directory, _ in made.values()))
     runs = grouped(made["reset_law"][1], "case")
     for case, rows in runs.items():
@@ -173,12 +171,12 @@ def test_comparison_runs_the_numpy_filter_and_tables_its_errors(tmp_path, run, m
         (export_study(study, tmp_path / "x") / "study.toml").read_text()
     )
     monkeypatch.setattr(comparison, "STUDY", str(tmp_path / "arena.toml"))
-    monkeypatch.setattr(comparison, "DRAWS", 2)
-    monkeypatch.setattr(comparison, "LAST", 3)
+    monkeypatch.setattr(comparison, "JUDGED", {"study.draws": 2})
+    monkeypatch.setattr(comparison, "CHOOSING", {"study.draws": 1})
     monkeypatch.setattr(comparison, "find_programs", lambda psins: (["numpy filter"], ["none"]))
     written, _ = run(comparison, tmp_path / "all")
     ours, own = written["comparison_arena"].values()
-    (scores,) = (tmp_path / "all" / "scores").iterdir()
+    (scores,) = (tmp_path / "all" / "judged" / "enu" / "scores").iterdir()
     runs = grouped(
         sinsjax.read_summary(scores).to_pylist(), "method", "pitch_amplitude_deg", "phi_u0_deg"
     )

@@ -40,7 +40,7 @@ def test_cases_of_different_keys_are_those_that_repeat_all_of_them() -> None:
         ("reset_times_s", [{"schedule": "none"}, {"reset_times_s": [3.0]}], [None, (3.0,)]),
         ("gyro_noise_deg_per_h", [{}, {"gyro_arw_deg_per_sqrt_h": 0.01}], [0.1, None]),
         ("level_sigma_per_s", [COMPASS, {"method": "compass", "level_time_s": 4.0}], [0.1, 0.02]),
-        ("level_sigma_per_s", [COMPASS, {"level_adjustment_s": 9.0}], [0.1, None]),
+        ("level_sigma_per_s", [COMPASS, {"level_gains": [0.3, 1e4, 1e-4]}], [0.1, None]),
         ("trigger_window_s", [{}, TRIGGER], [None, 3.0]),
         ("gravity_m_per_s2", [{"earth": "wgs84"}, {"gravity_m_per_s2": 9.7}], [9.8, 9.7]),
     ],

@@ -210,8 +210,8 @@ def test_changed_key_replaces_its_alternative():
 
 
 PASSES = {"stored_s": 80, "ending": "forward", "turn": "velocity"}
-LOOPS = {"level_gains": [0.06, 1040.0, 1.6e-6], "level_passes": 1, "azimuth_adjustment_s": 450}
-PIECES = {"sigma_factors": [2, 1], "sigma_passes": [2]}
+LOOPS = {"level_gains": [0.06, 1040.0, 1.6e-6], "level_time_s": 80.0, "azimuth_sigma_per_s": 0.02}
+PIECES = {"sigma_factors": [2, 1], "sigma_times_s": [160.0]}
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Gradient search: gradients against differences, parameters by variables, descents, cost."""
 
-import threading
-from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,11 +13,9 @@ from support.studies import small_study
 import sinsjax
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import run
-from sinsjax.execution.tasks import Job
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import gradient, history, objective, run_tuning, search
+from sinsjax.tuning import gradient, objective, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
@@ -150,9 +146,9 @@ class MadeUpRuns(Slope):
 
     def __init__(self, study: Study, slopes: np.ndarray) -> None:
         assert study.tune is not None
-        self._tune, self._slopes, self._programs = study.tune, slopes, [None]
+        self._tune, self._slopes, self._programs = study.tune, slopes, [self]
 
-    def _run(self, program: Any, box: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, box: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
         values = 2.0 + np.einsum("vdp,sp->svd", self._slopes, box)
         return values, np.broadcast_to(self._slopes, (*values.shape, box.shape[1]))
 
@@ -242,10 +238,8 @@ def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> No
 
 def hard_scores(study: Study, box: np.ndarray) -> list[float]:
     """Return the objective at some positions, by ordinary runs."""
-    values = [SearchSpace.from_study(study).to_values(row) for row in box]
-    return search.score_points(
-        study, "hard", [0] * len(values), values, lambda of: run.run(of, curves=False).summary
-    ).scores
+    points = search.points_at(SearchSpace.from_study(study), 0, box)
+    return gradient.score_hard(study, None, points).scores
 
 
 @pytest.mark.nightly
@@ -323,7 +317,7 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(gradient, "Slope", FlatSlope)
     monkeypatch.setattr(
-        gradient._Descents, "_score", lambda self, values, draws=None: [0.0] * len(values)
+        gradient, "score_hard", lambda *of: search.PointScores([0.0] * len(of[2]), [0])
     )
     study = tuned(
         {"azimuth_sigma_per_s": log(0.02, 0.08)},
@@ -336,18 +330,6 @@ def test_descent_steps_take_turns_over_the_tuning_draws(monkeypatch: pytest.Monk
     )
     gradient.descend(study)
     assert seen == [[0, 1], [2, 3], [0, 1], [2, 3]]
-
-
-def test_resumed_tuning_takes_gradient_search_from_its_own_points() -> None:
-    evaluation = history.Evaluation(0, 0, [1.0], 1.0, 1, 0)
-    known = [history.SearchResult(name, [evaluation]) for name in ("grid", "gradient")]
-    study = tuned({"p0_yaw_deg": log(5.0, 50.0)}, {"study": SHORT})
-    session = search.SearchSession(
-        Job(study, directory=Path("unused"), resume=True),
-        lambda _: nullcontext(),
-        threading.Event(),
-    )
-    assert run_tuning._run_search(study, "gradient", session, known) == known[1]
 
 
 @pytest.mark.nightly

@@ -1,7 +1,5 @@
 """The reset schedule by the law: a point of every search, and what tuning gains over it."""
 
-import threading
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +11,11 @@ from support.stored_results import report_text
 from support.studies import STILL, small_study
 
 import sinsjax
-from sinsjax.execution.tasks import Job
 from sinsjax.methods import reset_law
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
-from sinsjax.tuning import gradient, history, run_tuning, search
+from sinsjax.tuning import gradient, search
 from sinsjax.tuning.law_point import law_point
 from sinsjax.units import ARCMIN, DEG
 
@@ -40,10 +37,9 @@ def value_at(study: Study, number: int = 0) -> dict[str, Any] | None:
     space, box = SearchSpace.from_study(study), law_point(study, number)
     if box is None:
         return None
-    used = space.used_variables(space.combinations[number])
-    assert np.flatnonzero(np.isfinite(box)).tolist() == used
-    assert (box[used] >= 0).all() and (box[used] <= 1).all()
-    return space.make_point(space.to_values(np.nan_to_num(box)), space.combinations[number])
+    assert (box >= 0).all() and (box <= 1).all()
+    (point,) = search.points_at(space, number, [box])
+    return point.keys(space)
 
 
 def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...]:
@@ -109,8 +105,8 @@ def test_law_point_is_that_of_the_slowest_filter_and_of_the_baseline() -> None:
 def test_no_law_point_without_a_schedule(variables: Any, changes: dict[str, Any]) -> None:
     study = tuned(variables, **changes)
     assert law_point(study) is None
-    design = search.grid_design(study, 2)
-    np.testing.assert_array_equal(search.add_law_points(study, design).box, design.box)
+    assert study.tune is not None
+    assert len(search.design_points(study, "sobol")) == study.tune.sobol_points
 
 
 SHORT: dict[str, Any] = {
@@ -147,12 +143,13 @@ def test_descents_screen_the_law_and_evaluate_it(
     def slope(self: Any, box: NDArray, draws: Any, softness: Any) -> tuple[NDArray, NDArray]:
         return np.zeros(len(box)), np.ones(box.shape)
 
-    def score(self: Any, values: list[list[float]], draws: int | None = None) -> list[float]:
-        return [abs(np.subtract(point, law_values)).sum() for point in values]
+    def score(_: Study, __: Any, points: Any, draws: int | None = None) -> search.PointScores:
+        scores = [abs(np.subtract(point.values, law_values)).sum() for point in points]
+        return search.PointScores(scores, [0])
 
     monkeypatch.setattr(optax, "adam", lambda rate: optax.scale(0.1))
     monkeypatch.setattr(gradient.Slope, "__call__", slope)
-    monkeypatch.setattr(gradient._Descents, "_score", score)
+    monkeypatch.setattr(gradient, "score_hard", score)
     found = gradient.descend(tuned(RANGES, **SHORT))
     starts = [e for e in found.evaluations if e.step == 0]
     assert starts[0].values == pytest.approx(law_values) and len(starts) == 2
@@ -162,26 +159,11 @@ def test_descents_screen_the_law_and_evaluate_it(
 
 
 @pytest.mark.parametrize("name", ["grid", "sobol"])
-def test_searches_by_points_evaluate_the_law_first(
-    name: str, monkeypatch: pytest.MonkeyPatch, law_values: list[float]
-) -> None:
-    designs: list[search.Design] = []
-
-    def evaluate(study: Study, name: str, design: search.Design, _: Any) -> history.SearchResult:
-        designs.append(design)
-        return history.SearchResult(name, [])
-
-    monkeypatch.setattr(search, "evaluate_design", evaluate)
+def test_searches_by_points_evaluate_the_law_first(name: str, law_values: list[float]) -> None:
     study = tuned(RANGES, **SHORT)
-    assert study.tune is not None
-    space = SearchSpace.from_study(study)
-    session = search.SearchSession(
-        Job(study, directory=Path("unused")), lambda _: nullcontext(), threading.Event()
-    )
-    assert run_tuning._run_search(study, name, session, []).search == name
-    (design,) = designs
-    assert space.to_values(design.box[0]) == pytest.approx(law_values)
-    assert len(design.box) == 1 + (4 if name == "grid" else study.tune.sobol_points)
+    law, *others = search.design_points(study, name)
+    assert study.tune is not None and law.values == pytest.approx(law_values)
+    assert len(others) == (4 if name == "grid" else study.tune.sobol_points)
 
 
 @pytest.mark.nightly

@@ -1,4 +1,4 @@
-"""Searches: points of designs, the studies of points, objectives and histories."""
+"""Searches: points of designs, the studies of points, objectives, histories and results."""
 
 import threading
 from contextlib import nullcontext
@@ -10,13 +10,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
+import tomli_w
 from support.studies import PAPER, STILL, small_study
 
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.tasks import Job
-from sinsjax.study.load import study_from_dict
+from sinsjax.study.load import load_study, study_from_dict
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
@@ -39,25 +40,29 @@ def tuned(
 COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]}})
 
 
+def positions(study: Study, name: str) -> np.ndarray:
+    """Return the points of a design, but the law's, by candidate and positions, 0 to 1."""
+    space, points = SearchSpace.from_study(study), search.design_points(study, name)
+    return np.array([[p.candidate, *space.to_box(p.values)] for p in points[2:]])
+
+
 def test_grid_has_every_point_of_every_combination() -> None:
-    candidate, box = search.grid_design(COUNTED, 3)
-    assert candidate.tolist() == [0, *[1] * 3, *[2] * 9]
-    np.testing.assert_array_equal(box[0], [np.nan, np.nan])
-    np.testing.assert_array_equal(box[1:4], [[0, np.nan], [0.5, np.nan], [1, np.nan]])
-    places = [0.0, 0.5, 1.0]
-    np.testing.assert_array_equal(box[4:], [[a, b] for a in places for b in places])
+    found, places = positions(COUNTED.replace({"tune.grid_points": 3}), "grid"), [0.0, 0.5, 1.0]
+    ones = [[1.0, place, np.nan] for place in places]
+    twos = [[2.0, *both] for both in product(places, places)]
+    np.testing.assert_array_equal(found, [[0.0, np.nan, np.nan], *ones, *twos])
 
 
 def test_sobol_points_are_determined_by_seed_and_search() -> None:
-    few, more, other = (
-        search.sobol_design(COUNTED, name, count)
-        for name, count in (("sobol", 4), ("sobol", 9), ("gradient", 4))
+    few, more = (
+        positions(COUNTED.replace({"tune.sobol_points": count}), "sobol") for count in (4, 9)
     )
-    assert few.candidate.tolist() == [0, *[1] * 4, *[2] * 4]
-    inside = few.box[np.isfinite(few.box)]
+    assert few[:, 0].tolist() == [0, *[1] * 4, *[2] * 4]
+    inside = few[:, 1:][np.isfinite(few[:, 1:])]
     assert inside.size == 4 + 2 * 4 and (inside >= 0).all() and (inside <= 1).all()
-    np.testing.assert_array_equal(few.box[5:], more.box[10:14])
-    assert not np.isin(other.box[np.isfinite(other.box)], inside).any()
+    np.testing.assert_array_equal(few[5:], more[10:14])
+    other = search.sobol_boxes(COUNTED, "gradient", 2, 4)
+    assert other.shape == (4, 2) and not np.isclose(other[:, :1], inside).any()
 
 
 def test_derived_study_runs_all_variants_per_search_point() -> None:
@@ -192,9 +197,6 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
     assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
     for name in ("window_s", "reset_times_s[0]"):
         assert table.schema.field(name).metadata[b"unit"] == b"s"
-    other_space = SearchSpace.from_study(tuned({"p0_yaw_deg": YAW}))
-    with pytest.raises(InputError, match=r"history\.parquet: .*p0_yaw_deg"):
-        history.read_searches(tmp_path, other_space)
     (tmp_path / "history.parquet").write_text("no table")
     with pytest.raises(InputError, match=r"history\.parquet: "):
         history.read_searches(tmp_path, space)
@@ -218,20 +220,51 @@ def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None
             "axes": {"phi_u0_deg": [5.0, 30.0]},
         },
         objective="final_error",
+        grid_points=3,
     )
     session = SearchSession(
         Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
     )
-    design = search.grid_design(study, 3)
-    found = search.evaluate_design(study, "grid", design, session)
+    found = search.search_points(study, "grid", session)
     places = [1.0, 2.0, 3.0]
-    assert [tuple(e.values) for e in found.evaluations] == list(product(places, places))
-    assert [e.cost // (2 * 2 * 120) for e in found.evaluations] == [1, 2, 3, 3, 4, 5, 5, 5, 6]
+    _, *grid = found.evaluations  # the first is the law's
+    assert [tuple(e.values) for e in grid] == list(product(places, places))
+    costs = [e.cost // (2 * 2 * 120) for e in grid]
+    assert costs == [2, 3, 4, 4, 5, 6, 6, 6, 7]
     rows = read_summary(tmp_path / "grid").to_pylist()
-    assert sorted({row["case"] for row in rows}) == [f"grid {n}" for n in (0, 1, 2, 4, 5, 8)]
-    for e in found.evaluations:
+    assert sorted({row["case"] for row in rows}) == [f"grid {n}" for n in (0, 1, 2, 3, 5, 6, 9)]
+    for e in grid:
         own = [row for row in rows if row["reset_times_s"] == sorted({*e.values})]
         errors = np.array([row["phi_u_arcmin"] - row["floor_arcmin"] for row in own])
         expected = np.sqrt(np.mean(errors.reshape(2, 2) ** 2, axis=0)).mean()
         assert e.objective == pytest.approx(expected)
-    assert len({e.objective for e in found.evaluations}) == 6
+    assert len({e.objective for e in grid}) == 6
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> sinsjax.TuningResults:
+    variables = {"p0_yaw_deg": {"candidates": [0.01, 80.0]}}
+    study = tuned(variables, searches=["grid"], objective="final_error", evaluation_draws=8)
+    study = study.replace({"tune.baseline": {"p0_yaw_deg": 0.01}})
+    folder = tmp_path_factory.mktemp("tuned")
+    (folder / "mine.toml").write_text(tomli_w.dumps(study.to_dict()))
+    return sinsjax.tune(folder / "mine.toml", folder / "out")
+
+
+def test_tune_returns_the_best_point_and_the_study_with_it(results: sinsjax.TuningResults) -> None:
+    assert results.best == {"p0_yaw_deg": 80.0} and results.search == "grid"
+    assert results.study.filter.p0_yaw_deg == 80.0 and results.study.tune is None
+    assert results.study == load_study(results.directory / "tuned.toml")
+    assert results.study.seed == small_study().seed + 2  # the evaluation has the next one
+    assert sinsjax.read_manifest(results.directory / "grid")["config"] == "mine.toml"
+
+
+def test_tune_returns_objectives_on_fresh_draws(results: sinsjax.TuningResults) -> None:
+    errors: dict[str, list[float]] = {"grid": [], "baseline": []}
+    for row in read_summary(results.directory / "evaluation").to_pylist():
+        errors[row["case"]].append(row["phi_u_arcmin"])
+    rms = {key: np.sqrt(np.mean(np.square(values))) for key, values in errors.items()}
+    assert results.score.value == pytest.approx(rms["grid"])
+    assert results.baseline.value == pytest.approx(rms["baseline"]) and results.baseline.n == 8
+    assert results.score.low < results.score.value < results.score.high < results.baseline.low
+    assert "arcmin" in results.objective

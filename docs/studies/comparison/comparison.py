@@ -4,8 +4,8 @@
 
 FOLDER is a copy of the PSINS toolbox, which Octave runs (Debian: ``apt install octave``);
 python-ins comes from its registry (``pip install python-ins``). A program that is absent is left
-out, with a line that says so. The settings of each program are the best of a few on four draws that
-the table leaves out. Everything is kept in DIR: an interrupted run continues. The table of
+out, with a line that says so. The settings of each program are the best of a few on four draws of
+another seed. Everything is kept in DIR: an interrupted run continues. The table of
 docs/comparison.md is printed, and written with all columns to DOCS/tables, docs by default.
 """
 
@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -28,10 +29,13 @@ import pyarrow as pa
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, format_estimate
+from sinsjax.study.keys import is_condition_key
 
 HERE = Path(__file__).resolve().parent
 STUDY, OURS, ERROR = "arena", "sinsjax ", "phi_u_arcmin"
-DRAWS, LAST = 32, 36  # draws of the table, and the end of those that choose the settings
+JUDGED = {"study.draws": 32}
+CHOOSING = {"study.draws": 4, "study.seed": 2}
+"""Changes to the study for the draws of the table, and for those that choose the settings."""
 
 P0 = ("5 30", "15 80")  # deg
 FILTER = tuple(f"[{r} {p0}]" for r in (0.01, 0.05) for p0 in P0)
@@ -70,24 +74,20 @@ def find_programs(psins: Path | None) -> tuple[list[str], list[str]]:
     return [name for name in SETTINGS if name in names], [*made, f"sinsjax {sinsjax.__version__}"]
 
 
-def run_program(
-    psins: Path | None, out: Path, name: str, settings: str, draws: tuple[int, int]
-) -> Path:
-    """Return the results of a program on some draws, run unless they are there."""
-    stem = re.sub(r"\W+", "_", f"{name} {settings} {draws[0]}").strip("_")
-    path = out / "results" / f"{stem}.csv"
+def run_program(psins: Path | None, out: Path, name: str, settings: str) -> Path:
+    """Return the results of a program on the exports in a folder, run unless they are there."""
+    stem = re.sub(r"\W+", "_", f"{name} {settings}").strip("_")
+    path, exported = out / f"{stem}.csv", export_of(out, name)
     if path.exists():
         return path
-    part, exported = path.with_suffix(".part"), export_of(out, name, draws)
-    first, last = draws[0], draws[1] - 1
+    part = path.with_suffix(".part")
     if name == "numpy filter":
         command = [sys.executable, HERE / "numpy_filter.py", exported, part]
     elif name == "python-ins":
-        command = [sys.executable, HERE / "python_ins_runs.py", exported, first, last, settings]
-        command += [part]
+        command = [sys.executable, HERE / "python_ins_runs.py", exported, settings, part]
     else:
         command = ["octave-cli", "--no-gui", "-q", HERE / "psins_runs.m", psins, exported, name]
-        command += [f"[{first} {last}]", settings, part]
+        command += [settings, part]
     begun = time.monotonic()
     subprocess.run([str(word) for word in command], check=True, stdout=subprocess.DEVNULL)
     print(f"{path.stem}: {time.monotonic() - begun:.0f} s", flush=True)
@@ -95,43 +95,45 @@ def run_program(
     return path
 
 
-def export_of(out: Path, name: str, draws: tuple[int, int]) -> Path:
-    """Return the folder with the draws that a program reads."""
-    return out / f"{'ned' if name == 'python-ins' else 'enu'}_{draws[0]}"
+def export_of(out: Path, name: str) -> Path:
+    """Return the export that a program reads."""
+    return out / ("ned" if name == "python-ins" else "enu")
 
 
-def export(out: Path, draws: tuple[int, int]) -> None:
-    """Export some draws for MATLAB and for python-ins, unless they are there."""
-    for name, kind in (("numpy filter", "psins"), ("python-ins", "csv")):
-        folder = export_of(out, name, draws)
+def export(out: Path, changes: dict[str, Any]) -> None:
+    """Export the draws for MATLAB and for python-ins, with the own results, unless they exist."""
+    study = sinsjax.load_study(STUDY, changes)
+    sinsjax.run_into(study, out / "own", resume=(out / "own").exists())
+    for folder, kind in ((out / "enu", "psins"), (out / "ned", "csv")):
         part = folder.with_suffix(".part")
         if not folder.exists():
             shutil.rmtree(part, ignore_errors=True)
-            frame = folder.name.partition("_")[0]
-            sinsjax.export_study(STUDY, part, draws=draws, format=kind, frame=frame)
+            sinsjax.export_study(study, part, format=kind, frame=folder.name)
+            shutil.copytree(out / "own", part / "own")
             part.rename(folder)
 
 
-def score(out: Path, name: str, results: Path, draws: tuple[int, int]) -> sinsjax.Score:
-    """Return the score of a program on some draws."""
-    target, exported = out / "scores" / results.stem, export_of(out, name, draws)
-    return sinsjax.score_results(
-        exported, results, name=name, against=out / "own", out=target, overwrite=True
-    )
+def score(out: Path, name: str, results: Path) -> pa.Table:
+    """Return the summary of a program and of the own methods."""
+    return sinsjax.score_results(export_of(out, name), results, name=name).summary
+
+
+def mean_error(table: pa.Table, method: str) -> float:
+    """Return the mean heading error of a method or program, arcmin; 180 deg without a result."""
+    (rows,) = (r for key, r in analysis.group_rows(table, ["method"]) if key["method"] == method)
+    return float(np.nan_to_num(np.abs(analysis.numeric_column(rows, ERROR)), nan=180 * 60).mean())
 
 
 def run_all(
     names: list[str], psins: Path | None, out: Path, workers: int
-) -> tuple[dict[str, str], dict[str, sinsjax.Score]]:
-    """Run what is missing; return the best settings of each program, and its score."""
-    (out / "results").mkdir(parents=True, exist_ok=True)
-    sinsjax.run_into(STUDY, out / "own", resume=(out / "own").exists())
-    choosing, judged = (DRAWS, LAST), (0, DRAWS)
-    for draws in (choosing, judged):
-        export(out, draws)
+) -> tuple[dict[str, str], dict[str, pa.Table]]:
+    """Run what is missing; return the best settings of each program, and its summary."""
+    choosing, judged = out / "choosing", out / "judged"
+    for folder, changes in ((choosing, CHOOSING), (judged, JUDGED)):
+        export(folder, changes)
     with ThreadPoolExecutor(workers) as pool:
         tried = {
-            (name, settings): pool.submit(run_program, psins, out, name, settings, choosing)
+            (name, settings): pool.submit(run_program, psins, choosing, name, settings)
             for name in names
             for settings in SETTINGS[name]
             if len(SETTINGS[name]) > 1
@@ -139,39 +141,37 @@ def run_all(
         best = {name: SETTINGS[name][0] for name in names}
         for name in {name: None for name, _ in tried}:
             errors = {
-                settings: score(out, name, tried[name, settings].result(), choosing)
+                settings: mean_error(score(choosing, name, tried[name, settings].result()), name)
                 for settings in SETTINGS[name]
             }
-            best[name] = min(errors, key=lambda s: errors[s].comparison.overall.program.value)
-        found = {n: pool.submit(run_program, psins, out, n, best[n], judged) for n in names}
-        return best, {name: score(out, name, found[name].result(), judged) for name in found}
+            best[name] = min(errors, key=errors.__getitem__)
+        found = {n: pool.submit(run_program, psins, judged, n, best[n]) for n in names}
+        return best, {name: score(judged, name, found[name].result()) for name in found}
 
 
-def build_table(best: dict[str, str], scores: dict[str, sinsjax.Score]) -> list[list[str]]:
+def build_table(best: dict[str, str], tables: dict[str, pa.Table]) -> list[list[str]]:
     """Return the header, a row per program, and one per method of sinsjax."""
-    first = next(iter(scores.values())).comparison
-    keys, points = first.keys, [one.point or () for one in first.conditions]
-    header = ["program", *(describe_condition(dict(zip(keys, p, strict=True))) for p in points)]
-    rows = [[*header, f"less {first.best}, all", "within 40' of north (%)", "settings"]]
-    for name, found in scores.items():
-        all_ = found.comparison.overall
-        cells = [format_estimate(one.program) for one in found.comparison.conditions]
-        cells += [format_estimate(all_.difference), percent(all_.success)]
-        rows.append([name, *cells, describe_settings(name, best[name])])
-    own = sinsjax.read_summary(next(iter(scores.values())).directory)
-    return [*rows, *own_rows(own, keys, points)]
+    first = next(iter(tables.values()))
+    keys = [name for name in first.column_names if is_condition_key(name)]
+    keys = [key for key in keys if len(first[key].unique()) > 1]
+    points = [point for point, _ in analysis.group_rows(first, keys)]
+    rows = [["program", *map(describe_condition, points), "within 40' of north (%)", "settings"]]
+    for name, table in tables.items():
+        groups = analysis.group_rows(table, ["method"])
+        (own,) = (rows for key, rows in groups if key["method"] == name)
+        rows.append([name, *error_cells(own, keys), describe_settings(name, best[name])])
+    for key, own in analysis.group_rows(first, ["case", "method"]):
+        if key["method"] not in SETTINGS:
+            rows.append([f"{OURS}{key['case']}", *error_cells(own, keys), ""])
+    return rows
 
 
-def own_rows(table: pa.Table, keys: list[str], points: list[tuple]) -> Iterator[list[str]]:
-    """Yield a row for each method of sinsjax."""
-    for key, rows in analysis.group_rows(table, ["case", "method"]):
-        if key["method"] in SETTINGS:
-            continue  # another program
-        groups = analysis.group_rows(rows, keys)
-        errors = {tuple(p.values()): np.abs(analysis.numeric_column(r, ERROR)) for p, r in groups}
-        cells = [format_estimate(analysis.mean(errors[point])) for point in points]
-        ok, draws = (analysis.numeric_column(rows, name) for name in ("ok_truth", "draw_id"))
-        yield [f"{OURS}{key['case']}", *cells, "", percent(analysis.share(ok > 0, draws)), ""]
+def error_cells(rows: pa.Table, keys: list[str]) -> Iterator[str]:
+    """Yield the mean heading error under each condition, and the share within 40' of north."""
+    for _, some in analysis.group_rows(rows, keys):
+        yield format_estimate(analysis.mean(np.abs(analysis.numeric_column(some, ERROR))))
+    ok, draws = (analysis.numeric_column(rows, name) for name in ("ok_truth", "draw_id"))
+    yield percent(analysis.share(ok > 0, draws))
 
 
 def percent(one: Estimate) -> str:
@@ -203,8 +203,8 @@ def to_markdown(header: list[str], *rows: list[str]) -> str:
     """Return the table of the page: heading errors only, equal methods of sinsjax in one row."""
     equal: dict[tuple[bool, *tuple[str, ...]], list[str]] = {}
     for name, *cells in rows:
-        equal.setdefault((name.startswith(OURS), *cells[:-3]), []).append(name)
-    lines = [header[:-3], ["---"] * (len(header) - 3)]
+        equal.setdefault((name.startswith(OURS), *cells[:-2]), []).append(name)
+    lines = [header[:-2], ["---"] * (len(header) - 2)]
     for (_, *cells), (first, *others) in equal.items():
         names = [first, *(name.removeprefix(OURS) for name in others)]
         lines.append(["; ".join(names), *cells])

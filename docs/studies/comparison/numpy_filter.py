@@ -46,7 +46,7 @@ def main(folder: str, out: str) -> None:
     """Align every run of an export."""
     rows = list(csv.DictReader((Path(folder) / "initial.csv").read_text().splitlines()))
     with open(out, "w") as file:
-        print(f"# study = {rows[0]['study']}\nrun_id,time_s,{','.join(ANGLES)}", file=file)
+        csv.writer(file).writerow(["study", "run_id", "time_s", *ANGLES])
         for run in rows:
             yaw, pitch, roll = (np.radians(float(run[name])) for name in ANGLES)
             start = rotation([0, 0, yaw]) @ rotation([pitch, 0, 0]) @ rotation([0, roll, 0])
@@ -54,7 +54,7 @@ def main(folder: str, out: str) -> None:
             for time, c in align(np.loadtxt(Path(folder) / run["file"]), start, *place):
                 angles = [np.arctan2(-c[0, 1], c[1, 1]), np.arcsin(c[2, 1])]
                 angles += [np.arctan2(-c[2, 0], c[2, 2])]
-                print(run["run_id"], f"{time:.3f}", *np.degrees(angles), sep=",", file=file)
+                csv.writer(file).writerow([run["study"], run["run_id"], time, *np.degrees(angles)])
 
 
 if __name__ == "__main__":

@@ -1,17 +1,16 @@
 % Align the records of a sinsjax export (format psins) with a function of the PSINS toolbox.
 %
-%   octave-cli psins_runs.m PSINS DIR FUNCTION DRAWS SETTINGS OUT
+%   octave-cli psins_runs.m PSINS DIR FUNCTION SETTINGS OUT
 %
 % PSINS     folder of the toolbox (with psinsinit.m and base/)
 % DIR       export of a study with the WGS84 Earth
 % FUNCTION  alignvn, alignvn_ekf, aligni0, alignWahba or aligncmps
-% DRAWS     [first last]
 % SETTINGS  alignvn, alignvn_ekf: [wvn level yaw], the measurement noise and the sigmas of P0 in deg;
 %           aligncmps: [level time, its end, level time, time of the compass], s
 % OUT       CSV file of the results, one row per run and second
 args = argv();
-[psins, folder, name, draws, settings, out] = args{:};
-draws = str2num(draws); settings = str2num(settings);
+[psins, folder, name, settings, out] = args{:};
+settings = str2num(settings);
 warning('off', 'all');
 addpath(psins); addpath(genpath(fullfile(psins, 'base')));
 addpath(fileparts(mfilename('fullpath')));  % after PSINS, so that its window is replaced
@@ -23,16 +22,16 @@ names = strsplit(fgetl(file), ',');
 rows = textscan(file, [repmat('%f', 1, numel(names) - 2) '%s%s'], 'Delimiter', ',');
 fclose(file);
 column = @(wanted) rows{strcmp(names, wanted)};
-run_id = column('run_id'); draw = column('draw_id'); record = column('file');
+run_id = column('run_id'); record = column('file');
 start = [column('pitch_deg') column('roll_deg') column('yaw_deg')] * pi / 180;
 pos = [column('latitude_deg') * pi / 180, zeros(numel(run_id), 1), column('height_m')];
 digest = column('study'){1};
 
 sensors = imuerrset(0.1, 500, 1.6667e-4, 50);  % deg/h, ug, deg/sqrt(h), ug/sqrt(Hz)
 results = fopen(out, 'w');
-fprintf(results, '# study = %s\nrun_id,time_s,pitch_deg,roll_deg,yaw_deg\n', digest);
+fprintf(results, 'run_id,time_s,pitch_deg,roll_deg,yaw_deg,study\n');
 loaded = '';
-for k = find(draw >= draws(1) & draw <= draws(2))'
+for k = 1:numel(run_id)
   is_new = ~strcmp(loaded, record{k});
   if is_new
     loaded = record{k}; imu = load(fullfile(folder, loaded));
@@ -51,6 +50,6 @@ for k = find(draw >= draws(1) & draw <= draws(2))'
   t = att(:, end);
   whole = abs(t - round(t)) < 1e-6 & all(isfinite(att(:, 1:3)), 2) & t > 0.5;
   rows = [repmat(run_id(k), nnz(whole), 1), round(t(whole)), att(whole, 1:3) * 180 / pi];
-  fprintf(results, '%d,%d,%.9f,%.9f,%.9f\n', rows');
+  fprintf(results, ['%d,%d,%.9f,%.9f,%.9f,' digest '\n'], rows');
 end
 fclose(results);

@@ -1,6 +1,6 @@
 """Align the records of a sinsjax export with python-ins (package ``python-ins``, module pyins).
 
-    python python_ins_runs.py DIR FIRST LAST SIGMA OUT
+    python python_ins_runs.py DIR SIGMA OUT
 
 Its INS filter with 15 states gets the true position and a velocity of zero with SIGMA m/s once a
 second. DIR is an export with ``--format csv --frame ned``.
@@ -17,15 +17,14 @@ DEG_PER_H, UG = 4.848136811e-6, 9.80665e-6
 LEVEL, YAW = 15.0, 80.0  # deg
 
 
-def main(folder: str, first: str, last: str, sigma: str, out: str) -> None:
-    """Align the runs of some draws."""
+def main(folder: str, sigma: str, out: str) -> None:
+    """Align all runs."""
     runs = pd.read_csv(Path(folder) / "initial.csv")
     gyro = inertial_sensor.EstimationModel(bias_sd=0.1 * DEG_PER_H, noise=4.848e-8)
     accel = inertial_sensor.EstimationModel(bias_sd=500 * UG, noise=50 * UG)
     with open(out, "w", encoding="utf-8") as file:
-        print(f"# study = {runs['study'][0]}\n# frame = ned", file=file)
-        print("run_id,time_s,heading_deg,pitch_deg,roll_deg", file=file)
-        for run in runs[runs["draw_id"].between(int(first), int(last))].itertuples():
+        print("study,run_id,time_s,yaw_deg,pitch_deg,roll_deg", file=file)
+        for run in runs.itertuples():
             imu = pd.read_csv(Path(folder) / run.file)
             imu.columns = ["time", "theta_x", "theta_y", "theta_z", "dv_x", "dv_y", "dv_z"]
             imu.insert(1, "dt", 1 / run.rate_hz)
@@ -55,7 +54,7 @@ def main(folder: str, first: str, last: str, sigma: str, out: str) -> None:
             )
             rows = found.trajectory.loc[whole, ["heading", "pitch", "roll"]]
             for time, row in zip(whole, rows.to_numpy(), strict=True):
-                print(run.run_id, round(time), *row, sep=",", file=file)
+                print(run.study, run.run_id, round(time), *row, sep=",", file=file)
 
 
 if __name__ == "__main__":

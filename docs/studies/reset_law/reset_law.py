@@ -6,7 +6,7 @@ The directories have the results of reset_law, reset_law_map, reset_own_noise, r
 reset_cycle_study and reset_phase.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 import sinsjax
 from docs.studies.common import (
-    GREY,
     Grid,
     Page,
     Runs,
@@ -32,7 +31,7 @@ from sinsjax.plots.style import with_style
 
 SETTLE = "settle_10_s"
 LAW, KEPT, LISTED, NONE = "law", "law, velocity as P0", "10 and 60 s", "no reset"
-POLICIES, PREDICTED = (LAW, KEPT, "trigger", LISTED, NONE), (LAW, KEPT, LISTED, NONE)
+POLICIES = (LAW, KEPT, "trigger", LISTED, NONE)
 EARLY, INERTIAL = "last reset at 55 s", "inertial"
 SURGE_POLICIES = (NONE, EARLY, "last reset at 110 s", KEPT, LAW, "kalman_sincos", INERTIAL)
 CELL = ("latitude_deg", "q_scale", "feedback_interval_s", "specific_force")
@@ -69,22 +68,6 @@ def cells(runs: Runs, page: Page) -> None:
         by_filter=f"{100 * (1 - ratios[KEPT].max()):.0f} to {100 * (1 - ratios[KEPT].min()):.0f} %",
         never_without_reset=f"{percent(share(np.isinf(times[NONE])))} %",
     )
-    foreseen = runs.grid("predicted_settle_s", **axes)
-    pairs = {p: (foreseen.at(policy=p)[..., 0], medians(times[p])) for p in PREDICTED}
-    figure = draw_predictions(pairs, np.array(grid.axes[CELL[2]]) > 2.0, end_s)
-    page.figure("reset_law_predicted", figure, runs.footer)
-    rows = [[policy, *compare(*pair)] for policy, pair in pairs.items()]
-    header = ["resets", "measured over predicted, median (5 to 95 %)", "starts judged right (%)"]
-    page.table("reset_law_predictions", header, rows)
-
-
-def compare(predicted: NDArray, measured: NDArray) -> tuple[str, str]:
-    """Return measured over predicted times, and how many starts are judged right."""
-    both = np.isfinite(predicted) & np.isfinite(measured)
-    low, middle, high = np.quantile(measured[both] / predicted[both], [0.05, 0.5, 0.95])
-    right = (np.isfinite(predicted) == np.isfinite(measured)).ravel()
-    agreed = analysis.share(right, np.arange(right.size))
-    return f"{middle:.2f} ({low:.2f} to {high:.2f})", percent(agreed)
 
 
 def set_ticks(axes: Axes, x: Sequence[float], y: Sequence[float], never: float = np.inf) -> None:
@@ -94,30 +77,6 @@ def set_ticks(axes: Axes, x: Sequence[float], y: Sequence[float], never: float =
         axis.set_major_locator(FixedLocator(ticks))
         axis.set_minor_locator(NullLocator())
         axis.set_ticklabels([f"{tick:g}" if tick < never else "never" for tick in ticks])
-
-
-@with_style
-def draw_predictions(
-    pairs: Mapping[str, tuple[NDArray, NDArray]], slow: NDArray, end_s: float
-) -> Figure:
-    """Draw measured over predicted settling times; never lies at the edges."""
-    figure = Figure(figsize=(9.5, 3.25))
-    figure.suptitle("Predicted and measured: what settles, when, and what never does")
-    low, never = 80.0, 1.25 * end_s
-    panels = figure.subplots(1, len(pairs), sharex=True, sharey=True)
-    for axes, policy in zip(panels, pairs, strict=True):
-        axes.plot([low, end_s], [low, end_s], color=GREY, linewidth=1)
-        labels = ("feedback up to 1 s", "every 10 s")
-        for places, colour, label in zip((~slow, slow), plots.COLOURS, labels, strict=False):
-            # Feedback is the last axis but one.
-            x, y = (np.minimum(one[..., places, :], never).ravel() for one in pairs[policy])
-            axes.plot(x, y, ".", color=colour, markersize=4, alpha=0.6, label=label)
-        set_ticks(axes, *((100, 300, 1000, never),) * 2, never)
-        axes.set(xlim=(low, 1.15 * never), ylim=(low, 1.15 * never), title=policy)
-        axes.set(aspect="equal", xlabel="predicted (s)")
-    panels[0].set_ylabel("measured (s)")
-    panels[0].legend(loc="upper left", handletextpad=0.1)
-    return figure
 
 
 @with_style

@@ -214,31 +214,26 @@ def has_trigger(name: str | None) -> bool:
     return name not in (None, "none")
 
 
+_RESETS = ("reset_times_s", "reset_count", "reset_trigger")
+"""Keys that decide whether P is reset at all, in the order of `_is_reset`."""
+
+
 def _is_reset(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
     return bool(times or count or has_trigger(trigger))
 
 
-def _is_reset_with(values: Sequence[Any], value: Any, *resets: Any) -> bool:
-    return value in values and _is_reset(*resets)
+def _with_resets(key: str, values: Sequence[Any], *keys: str) -> KeyCondition:
+    """Return the condition that P is reset and ``key`` has one of some values."""
+    return KeyCondition(
+        keys, (key, *_RESETS), lambda value, *resets: value in values and _is_reset(*resets)
+    )
 
-
-def _needs_cycle(count: int | None, first_s: float | None) -> bool:
-    return (count or 0) > (0 if first_s is None else 1)
-
-
-_RESETS = ("reset_times_s", "reset_count", "reset_trigger")
-"""Keys that decide whether P is reset at all, in the order of `_is_reset`."""
 
 TRIGGER_KEYS = (
     *("trigger_threshold", "trigger_window_s", "trigger_refractory_s"),
     *("trigger_most", "trigger_until_s"),
 )
 """Keys of a trigger."""
-
-_FULL_RESET = (
-    *("reset_velocity_m_per_s", "reset_level_deg"),
-    *("reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
-)
 
 
 class ResetsSection(Section):
@@ -253,17 +248,17 @@ class ResetsSection(Section):
             ("heading_bound_deg", "settle_band_arcmin"), ("schedule",), lambda name: name == "law"
         ),
         KeyCondition(("reset_first_s",), ("reset_count",), bool),
-        KeyCondition(("reset_cycle_s",), ("reset_count", "reset_first_s"), _needs_cycle),
-        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
-        *(
-            KeyCondition(keys, (other, *_RESETS), partial(_is_reset_with, values))
-            for keys, other, values in (
-                (("reset_restarts_feedback",), "reset_at_feedback", (False,)),
-                (("reset_scale",), "reset_kind", ("scale",)),
-                (("reset_yaw_deg",), "reset_kind", ("full", "yaw")),
-                (_FULL_RESET, "reset_kind", ("full",)),
-            )
+        KeyCondition(
+            ("reset_cycle_s",),
+            ("reset_count", "reset_first_s"),
+            lambda count, first_s: (count or 0) > (first_s is not None),
         ),
+        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
+        _with_resets("reset_at_feedback", (False,), "reset_restarts_feedback"),
+        _with_resets("reset_kind", ("scale",), "reset_scale"),
+        _with_resets("reset_kind", ("full", "yaw"), "reset_yaw_deg"),
+        _with_resets("reset_kind", ("full",), "reset_velocity_m_per_s", "reset_level_deg"),
+        _with_resets("reset_kind", ("full",), "reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
     )
 
     reset_trigger: Literal["none", "innovation", "linearisation"] | None = field(
@@ -310,7 +305,7 @@ class ResetsSection(Section):
     reset_times_s: vt.Times | None = field(
         "times of scheduled resets; alternative to reset_count", whole="sample"
     )
-    reset_at_feedback: bool = field("whether a reset waits for the next feedback", False)
+    reset_at_feedback: bool = field("whether a scheduled reset waits for the next feedback", False)
     reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
     reset_kind: Literal["full", "yaw", "scale"] = field(
         "'full': variances become the values below, covariances zero. 'yaw': the same for heading"
@@ -417,37 +412,30 @@ def check_resets(study: StudyKeys) -> None:
 
 
 def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
-    given, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
+    times_s, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
     rate, end_s = study.rate_hz, study.run_s * (1 + ROUNDING)
     late = colliding = "schedule" if point["schedule"] == "law" else "reset_times_s"
-    among = ""
-    if given is None:
-        alone = 0 if first is None else 1  # resets that need no cycle
-        if cycle is None and (count or 0) > alone:
-            study.refuse("reset_cycle_s", f"required with reset_count > {alone} (it is {count})")
+    if times_s is None:
+        if cycle is None and (count or 0) > (first is not None):
+            study.refuse("reset_cycle_s", f"required with reset_count = {count}")
         if (count or 0) > end_s * rate:
             study.refuse("reset_count", f"{count} resets are more than the samples of the run")
         late = "reset_cycle_s" if study.given_in("reset_count") == "[resets]" else "reset_count"
         late = late if cycle else "reset_first_s"
         colliding = "reset_cycle_s" if first is None else "reset_first_s"
-        begin = "" if first is None else f" from {first:.12g} s"
-        among = f", of {count}{begin} every {cycle:.12g} s," if cycle else ""
-    times = scheduled_reset_times(given, count, cycle, first)
-    earlier, taken = 0.0, 0
-    for time in times:
-        reset = f"the reset at {time:.12g} s{among}"
+    taken = {0: "the start"}
+    for time in scheduled_reset_times(times_s, count, cycle, first):
         if time > end_s:
-            study.refuse(late, f"{reset} is after the end of the run ({study.end})")
-        if (sample := round(time * rate)) == taken:
-            other = f"the reset at {earlier:.12g} s" if taken else "the start"
+            text = f"the reset at {time:.12g} s is after the end of the run ({study.end})"
+            study.refuse(late, text)
+        reset = f"the reset at {time:.12g} s"
+        if (other := taken.setdefault(round(time * rate), reset)) is not reset:
             text = f"{reset} is at the sample of {other} (a sample is {1 / rate:.12g} s)"
             study.refuse(colliding, text)
-        earlier, taken = time, sample
-    acting = acting_reset_times(rate, *(point[key] for key in RESET_KEYS))
-    for time, later in zip(times, acting, strict=True):
-        if later > end_s:
-            text = f"delays the reset at {time:.12g} s to the feedback at {later:.12g} s"
-            study.refuse("reset_at_feedback", f"{text}, after the end of the run ({study.end})")
+    last = max(acting_reset_times(rate, *(point[key] for key in RESET_KEYS)), default=0)
+    if last > end_s:
+        text = f"delays a reset to the feedback at {last:.12g} s, after the end of the run"
+        study.refuse("reset_at_feedback", f"{text} ({study.end})")
 
 
 # Columns, and what all filters have
@@ -458,10 +446,6 @@ def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
     counts = results.trigger_counts
     number = np.asarray(0.0 if counts is None else getattr(counts, which))
     return number if which == "count" else np.where(number > 0, number / rate_hz, np.nan)
-
-
-def _mean_nis(results: Any, rate_hz: float) -> NDArray:
-    return np.asarray(results.innovations.sum) / np.asarray(results.innovations.count)
 
 
 FILTER_COLUMNS = (
@@ -479,20 +463,15 @@ FILTER_COLUMNS = (
         )
         for which in ("first", "last")
     ),
-    *(
-        OwnColumn(column(name, meaning), value, applies_to=attrgetter("is_recorded"))
-        for name, meaning, value in (
-            (
-                "innovation_nis",
-                "mean r' S^-1 r of the filter's velocity innovations r; null of methods without",
-                _mean_nis,
-            ),
-            (
-                "innovation_freedom",
-                "degrees of freedom of their sum: 2 an update",
-                lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
-            ),
-        )
+    OwnColumn(
+        column("innovation_nis", "mean r' S^-1 r of the filter's velocity innovations r"),
+        lambda results, rate_hz: np.asarray(results.innovations.sum / results.innovations.count),
+        applies_to=attrgetter("is_recorded"),
+    ),
+    OwnColumn(
+        column("innovation_freedom", "degrees of freedom of their sum: 2 an update"),
+        lambda results, rate_hz: 2 * np.asarray(results.innovations.count),
+        applies_to=attrgetter("is_recorded"),
     ),
 )
 """Columns of triggers, and of innovations in a recorded study (a simulation has the truth to be

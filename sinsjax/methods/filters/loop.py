@@ -40,15 +40,10 @@ class InnovationSum(NamedTuple):
 
 
 class FilterResults(NamedTuple):
-    """Basis of a filter's own result columns; None for what it does not have.
-
-    Attributes:
-        extra: basis of the columns of this filter alone.
-    """
+    """Basis of the result columns of filters; None for what one does not have."""
 
     trigger_counts: triggers.TriggerCounts | None
     innovations: InnovationSum | None
-    extra: Any = None
 
 
 class FilterParams(NamedTuple):
@@ -171,11 +166,7 @@ class Filter(NamedTuple):
         attitude: state -> best attitude.
         covariance: state -> covariance of that attitude.
         correct: (state, sample) -> sample without the biases found; None if none are.
-        extra_results: (site, state) -> `FilterResults.extra`.
         shares_covariance: see `Program`.
-        keep: (first state of a record, state at its end) -> the first with all that is no error of
-            the navigation solution.
-        gyro_bias: see `Passes`.
     """
 
     transition: Callable[[Any, Place, Vec3], Entries]
@@ -188,10 +179,7 @@ class Filter(NamedTuple):
     attitude: Callable[[Any], Quat] = corrected_attitude
     covariance: Callable[[Any], AttitudeCovariance] = misalignment_covariance
     correct: Callable[[Any, Sample], Sample] | None = None
-    extra_results: Callable[[Site, Any], Any] = lambda site, state: None
     shares_covariance: bool = False
-    keep: Callable[[Any, Any], Any] = lambda first, last: first
-    gyro_bias: Callable[[Any], Vec3] | None = None
 
 
 def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) -> Program:
@@ -206,7 +194,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
-        passes=Passes(loop.reverse, loop.rewind, _begin_after, filter_.gyro_bias),
+        passes=Passes(loop.reverse, _begin_after),
     )
 
 
@@ -298,19 +286,9 @@ class _ClosedLoop(NamedTuple):
         state = state._replace(belief=state.belief._replace(p=p))
         return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
 
-    def rewind(self, params: Any, nav: Navigation, state: Any) -> Any:
-        # All knowledge of the solution's errors is in the solution; P is that of a start.
-        first = self.filter.keep(self.filter.init(params, nav), state)
-        first = first._replace(
-            feedback_at=state.feedback_at,
-            innovations=state.innovations,
-            trigger_state=state.trigger_state,
-        )
-        return triggers.begin_pass(self.trigger, first, self.filter.misalignment(first))
-
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
-        return FilterResults(counts, state.innovations, self.filter.extra_results(site, state))
+        return FilterResults(counts, state.innovations)
 
 
 def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:

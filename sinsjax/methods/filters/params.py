@@ -110,7 +110,6 @@ def _trigger_params(keys: StudyKeys) -> TriggerParams | None:
         refractory=np.round(keys.column("trigger_refractory_s") * rate_hz),
         most=keys.column("trigger_most"),
         until=np.round(until * rate_hz),
-        at_feedback=_flags_or_none(keys, "reset_at_feedback"),
     )
 
 
@@ -120,8 +119,9 @@ def _feedback_schedule(keys: StudyKeys, xp: Any) -> FeedbackSchedule:
     constant_s = keys.column("feedback_time_constant_s")
     lags = constant_s > 0
     gain = -xp.expm1(-every / keys.rate_hz / xp.where(lags, constant_s, 1.0))
-    restarts = _flags_or_none(keys, "reset_restarts_feedback")
-    return FeedbackSchedule(every, xp.where(lags, gain, 1.0), restarts)
+    restarts = keys.compute(float, "reset_restarts_feedback")
+    gain = xp.where(lags, gain, 1.0)
+    return FeedbackSchedule(every, gain, restarts if restarts.any() else None)
 
 
 def _reset_schedule(keys: StudyKeys) -> Resets:
@@ -130,12 +130,6 @@ def _reset_schedule(keys: StudyKeys) -> Resets:
     if isinstance(samples, np.ndarray):  # traced, a window moves with its time
         samples = np.round(samples)
     return Resets(samples, _covariance_reset(keys, "reset_kind", "reset_scale"))
-
-
-def _flags_or_none(keys: StudyKeys, key: str) -> Any:
-    """Return 1 where a flag is set, else 0, (variants,); None if it is set in no variant."""
-    flags = keys.compute(float, key)
-    return flags if flags.any() else None
 
 
 def _covariance_reset(keys: StudyKeys, kind: str, factor: str) -> CovarianceReset:

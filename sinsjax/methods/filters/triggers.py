@@ -22,17 +22,13 @@ from sinsjax.units import DEG
 
 
 class TriggerParams(NamedTuple):
-    """Numbers of the keys ``trigger_...`` of [resets], times in samples, and whether resets wait.
-
-    ``at_feedback`` is 1 if one waits for the next feedback, else 0; None if it waits in no run.
-    """
+    """Numbers of the keys ``trigger_...`` of [resets], times in samples."""
 
     threshold: Scalar
     window: Scalar
     refractory: Scalar
     most: Scalar
     until: Scalar
-    at_feedback: Scalar | None = None
 
 
 class TriggerCounts(NamedTuple):
@@ -50,14 +46,12 @@ class TriggerState(NamedTuple):
         fed_back: attitude corrections fed back since the last reset or direction reversal, less
             the estimate before that reversal, rad.
         last_reset: sample of the last reset of any kind.
-        pending: whether a reset waits for feedback; None if none ever waits.
     """
 
     memory: Any
     fed_back: Vec3
     trigger_counts: TriggerCounts
     last_reset: Scalar
-    pending: Flag | None = None
 
 
 class FilterSnapshot(NamedTuple):
@@ -84,12 +78,10 @@ class Trigger(NamedTuple):
     """A trigger.
 
     Attributes:
-        summary: condition of its resets, in half a line.
         start: P -> memory at the start and after a reset that leaves P.
         score: (params of the filter, memory, snapshot) -> memory and score.
     """
 
-    summary: str
     start: Callable[[Triangle], Any]
     score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
 
@@ -100,13 +92,8 @@ class Trigger(NamedTuple):
 def start(trigger: Trigger, params: TriggerParams, p: Triangle) -> TriggerState:
     """Return the state of a trigger before the first sample, for the initial covariance P."""
     zero = jnp.zeros_like(params.threshold)
-    return TriggerState(
-        trigger.start(p),
-        Vec3(zero, zero, zero),
-        TriggerCounts(zero, zero, zero),
-        zero,
-        None if params.at_feedback is None else zero > 0,
-    )
+    counts = TriggerCounts(zero, zero, zero)
+    return TriggerState(trigger.start(p), Vec3(zero, zero, zero), counts, zero)
 
 
 def update_trigger(
@@ -115,24 +102,19 @@ def update_trigger(
     """Return a filter's state with the n-th sample scored; `fired` says whether P is reset."""
     before, limits = state.trigger_state, params.trigger
     memory, score = trigger.score(params, before.memory, snapshot)
-    counts, pending = before.trigger_counts, before.pending
+    counts = before.trigger_counts
     fires = (
         (score > limits.threshold)
         & (n - before.last_reset >= limits.refractory)
         & (counts.count < limits.most)
         & (n <= limits.until)
     )
-    if pending is not None:
-        wanted = fires | pending
-        fires = wanted & ((n >= state.feedback_at) | (limits.at_feedback == 0))
-        pending = wanted & ~fires
     counts = TriggerCounts(
         count=jnp.where(fires, counts.count + 1, counts.count),
         first=jnp.where(fires & (counts.count == 0), n, counts.first),
         last=jnp.where(fires, n, counts.last),
     )
-    after = before._replace(memory=memory, trigger_counts=counts, pending=pending)
-    return state._replace(trigger_state=after)
+    return state._replace(trigger_state=before._replace(memory=memory, trigger_counts=counts))
 
 
 def fired(state: Any, n: Scalar) -> Flag:
@@ -157,9 +139,8 @@ def update_after_closing(
 def begin_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
     """Return a filter's first state of a pass, with the memory of its trigger, if any, cleared.
 
-    The counts of resets continue. A reset that still waits for feedback is forgotten with the
-    memory that called for it. What is estimated and not yet fed back, the misalignment in rad, is
-    no correction of this pass.
+    The counts of resets continue. What is estimated and not yet fed back, the misalignment in rad,
+    is no correction of this pass.
     """
     if trigger is None:
         return state
@@ -167,7 +148,6 @@ def begin_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
     after = before._replace(
         memory=trigger.start(state.belief.p),
         fed_back=Vec3(*(-angle for angle in misalignment)),
-        pending=None if before.pending is None else jnp.zeros_like(before.pending),
     )
     return state._replace(trigger_state=after)
 
@@ -252,11 +232,7 @@ def _sine(angle: Scalar) -> Scalar:
 
 
 TRIGGERS = {
-    "innovation": Trigger(
-        "innovations summed over a window, normalised", _start_block, _score_innovation
-    ),
-    "linearisation": Trigger(
-        "P_UU below what a linear model can know", lambda p: p, _score_linearisation
-    ),
+    "innovation": Trigger(_start_block, _score_innovation),
+    "linearisation": Trigger(lambda p: p, _score_linearisation),
 }
 """All triggers by name; ``[resets] reset_trigger`` names one."""

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from sinsjax.maths.algebra import add, scale
 from sinsjax.maths.rotations import log
-from sinsjax.methods.coarse import triad_attitude
+from sinsjax.methods.inertial_frame import triad_attitude
 from sinsjax.methods.method import Method, Options, Program, StudyKeys
 from sinsjax.types import Navigation, Sample, Vec3
 from sinsjax.value_types import Seconds, Section
