@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -223,12 +222,6 @@ class Results:
         if missing := [name for name in selected if name not in self.summary.column_names]:
             raise InputError(f"{self.directory}: summary: column {missing[0]} is missing")
         return self.summary.select(selected)
-
-    def with_summary(self, summary: pa.Table) -> "Results":
-        """Return these results, without curves, with other values in the rows of the summary."""
-        results = copy(self)
-        results._tables, results._parts = {"summary": summary}, None
-        return results
 
     def _read_rows(self, names: list[str] | None) -> pa.Table:
         """Read columns of the summary, restricted to `whole_draws`; None for all columns."""

@@ -205,7 +205,7 @@ def test_study_of_level_alone_reports_pitch_and_roll(tmp_path):
     nulls = source.summary
     for name in ("pitch_deg", "roll_deg"):
         nulls = replace_column(nulls, name, pa.nulls(nulls.num_rows))
-    (fact, *_) = build_verdict(source.with_summary(nulls)).facts
+    (fact, *_) = build_verdict(Results(source.study, None, tables={"summary": nulls})).facts
     assert fact.is_caution and fact.text == "unknown, the run is not finite"
 
 
