@@ -107,12 +107,8 @@ def __getattr__(name: str) -> Any:
     # Imported on first use: a command needs only part of the package before XLA compiles.
     for home, names in _HOMES.items():
         if name in names:
-            found = getattr(import_module(f"{__name__}.{home}"), name)
-            globals()[name] = found
-            return found
-    gone = import_module(f"{__name__}.gone")
-    text = f": {gone.LINE.format(gone.NAMES[name])}" if name in gone.NAMES else ""
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{text}")
+            return globals().setdefault(name, getattr(import_module(f"sinsjax.{home}"), name))
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -30,7 +30,11 @@ def command() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except (AttributeError, OSError, ValueError):  # none, closed, or a pipe without a reader
+        except OSError as error:
+            if not isinstance(error, BrokenPipeError):  # but a full disk
+                code = code or 2
+                print(f"error: standard output: {error.strerror}", file=sys.stderr)
+        except (AttributeError, ValueError):  # none, or closed
             pass
     os._exit(code if isinstance(code, int) else bool(code))
 

@@ -141,12 +141,7 @@ PASSES = (
 
 
 def curve_columns(*, passes: bool, coarse: bool = False) -> tuple[Column, ...]:
-    """Return the columns of the curves.
-
-    Args:
-        passes: whether to include those of repeated passes.
-        coarse: whether runs begin with coarse alignment.
-    """
+    """Return the columns of the curves, of runs with repeated passes or coarse alignment."""
     run_id, time_s, *observed = CURVES
     if coarse:
         time_s = time_s._replace(meaning="from the first sample of data")
@@ -162,10 +157,7 @@ def settle_column(band_arcmin: float, *, truth: bool = False) -> Column:
 
 
 def settle_data_column(band_arcmin: float, *, truth: bool = False) -> Column:
-    """The length of data recorded by the settling time of one band.
-
-    It differs from the settling time with repeated passes and with coarse alignment.
-    """
+    """The length of data recorded by the settling time of one band, which passes repeat."""
     settled = settle_column(band_arcmin, truth=truth).name
     meaning = f"length of data recorded by {settled}; null if never settled"
     return column(f"{settled.removesuffix('_s')}_data_s", meaning)

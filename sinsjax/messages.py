@@ -75,11 +75,6 @@ def suggest_closest(word: str, known_words: Iterable[str], template: str = "{}")
     return f" (did you mean {template.format(found[0])}?)" if found else ""
 
 
-def format_list_index(error: ErrorDetails) -> str:
-    """Return the position of an error in a list, ``[3]`` or ``[3][0]``; else an empty string."""
-    return "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
-
-
 def describe_broken_rule(error: ErrorDetails) -> str:
     """The rule that a value breaks."""
     kind = error["type"]
@@ -93,12 +88,7 @@ def describe_broken_rule(error: ErrorDetails) -> str:
 
 
 def explain_error(error: ErrorDetails, key: str = "") -> str:
-    """The rule that a value breaks, and the value unless the rule already shows it.
-
-    Args:
-        error: of pydantic.
-        key: ``section.key``, some values of which may be gone.
-    """
+    """The rule that a value of ``section.key`` breaks, and the value unless the rule shows it."""
     given = error["input"]
     if isinstance(given, str) and (key, given) in gone.VALUES:
         return f"{given!r} {gone.LINE.format(gone.VALUES[key, given])}"

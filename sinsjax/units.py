@@ -21,15 +21,10 @@ MICRO = 1e-6
 
 
 class Unit(NamedTuple):
-    """A unit by the suffix of keys and columns.
+    """A unit by the suffix of keys and columns."""
 
-    Attributes:
-        text: the unit as it is printed.
-        si: its size in SI units; of a unit with ug, its size in m/s^2 for a ug of 1 m/s^2.
-    """
-
-    text: str
-    si: float = 1.0
+    text: str  # as it is printed
+    si: float = 1.0  # its size in SI units; with ug, its size in m/s^2 for a ug of 1 m/s^2
 
 
 SUFFIXES = {
@@ -76,9 +71,7 @@ def split_unit(name: str) -> tuple[str, str]:
 def si_factor(name: str, ug: float | None = None) -> float:
     """Return the factor from the unit of a key or column to SI units; 1 for a name without a unit.
 
-    Args:
-        name: name of a key or column.
-        ug: the micro-g of the study, m/s^2; by default that of standard gravity.
+    The micro-g is that of the study, m/s^2, or of standard gravity.
     """
     suffix = _find_suffix(name)
     factor = SUFFIXES[suffix].si if suffix else 1.0

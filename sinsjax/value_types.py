@@ -27,12 +27,7 @@ from sinsjax.units import si_factor
 
 
 def rule_error(text: str, key: str | None = None) -> PydanticCustomError:
-    """The error of a broken rule within a section.
-
-    Args:
-        text: the message.
-        key: the key to name, for a rule about the whole section.
-    """
+    """The error of a broken rule within a section; of a rule about the whole it names a key."""
     return PydanticCustomError("invalid", text, {"key": key} if key else None)
 
 
@@ -58,9 +53,8 @@ class KeyInfo(NamedTuple):
         time: 's' for a time within a run, which must not be after its end.
         alternative_to: key of the same quantity in another unit, of which a study gives one.
         acts_as: what the engine makes of a key of [motion] or [sensors]; zero or left out, it makes
-            nothing of it. 'sway': amplitude of an angle. 'noise': white noise. 'bias': constant
-            error. 'distortion': constant error in proportion to what a sensor measures. 'quantum':
-            resolution. 'process': size of a random process. 'process_shape': a number of one.
+            nothing of it. 'sway': amplitude of an angle. 'distortion': constant error in proportion
+            to what a sensor measures. 'quantum': resolution. 'process': size of a random process.
     """
 
     usual_range: tuple[float, float] | None = None
@@ -82,19 +76,12 @@ def keys_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 class KeyCondition(NamedTuple):
-    """Condition under which keys affect a run at all, whatever their values.
-
-    Attributes:
-        keys: the keys concerned.
-        given: the keys that the condition depends on.
-        acts: (values of ``given``) -> whether ``keys`` act; a drawn value is None.
-        refused: whether a value that no run reads is an error.
-    """
+    """Condition under which keys affect a run at all, whatever their values."""
 
     keys: tuple[str, ...]
-    given: tuple[str, ...]
-    acts: Callable[..., bool]
-    refused: bool = False
+    given: tuple[str, ...]  # keys that it depends on
+    acts: Callable[..., bool]  # of the values of ``given``, None if drawn
+    refused: bool = False  # whether a value that no run reads is an error
 
     def acts_at(self, points: Iterable[Mapping[str, Any]]) -> bool:
         """Return whether ``keys`` act with the values of ``given`` at one of some points."""
@@ -220,9 +207,7 @@ ReportTimes = Annotated[
     AfterValidator(_require_increasing),
     AfterValidator(_require_distinct_columns),
 ]
-Bands = Annotated[
-    tuple[Band, ...], AfterValidator(require_unique), AfterValidator(_require_distinct_columns)
-]
+Bands = Annotated[tuple[Band, ...], AfterValidator(_require_distinct_columns)]
 Starts = Annotated[
     tuple[SecondsOrZero, ...],
     Field(min_length=1),
@@ -271,7 +256,3 @@ class Section(BaseModel):
         infos = {key: key_info(field) for key, field in cls.model_fields.items()}
         keys = [first, *(key for key, info in infos.items() if info.alternative_to == first)]
         return MappingProxyType({key: si_factor(key) / si_factor(first) for key in keys})
-
-    def __dir__(self) -> list[str]:
-        """Return the keys, for the completion of interactive sessions."""
-        return sorted(type(self).model_fields)

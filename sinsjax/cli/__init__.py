@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from sinsjax import gone
 from sinsjax.cli import advice, arena, loop_gains, study_files
 from sinsjax.cli.options import (
     Changes,
@@ -23,7 +22,7 @@ from sinsjax.cli.options import (
     Resume,
 )
 from sinsjax.cli.running import run_study
-from sinsjax.console import plain_console, print_line, tolerate_broken_pipe
+from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.messages import escape_controls, to_one_line
 from sinsjax.platform import runtime
@@ -292,20 +291,19 @@ def main() -> None:
     # Imported objects stay alive; scanning them repeatedly takes a fifth of the tracing time.
     gc.freeze()
     gc.set_threshold(100_000)
-    with tolerate_broken_pipe():
-        try:
-            code = app(standalone_mode=False)  # typer itself would print the usage before an error
-        except Exception as error:
-            if len(sys.argv) == 1 and isinstance(error, _UsageError):
-                error.show()  # the help
-                raise SystemExit(2) from None
-            code, lines = _describe_end(error)
-            for line in lines:
-                print(line, file=sys.stderr)
-            raise SystemExit(code) from None
-        if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
-            print("interrupted: stored results are kept", file=sys.stderr)
-        raise SystemExit(code)
+    try:
+        code = app(standalone_mode=False)  # typer itself would print the usage before an error
+    except Exception as error:
+        if len(sys.argv) == 1 and isinstance(error, _UsageError):
+            error.show()  # the help
+            raise SystemExit(2) from None
+        code, lines = _describe_end(error)
+        for line in lines:
+            print(line, file=sys.stderr)
+        raise SystemExit(code) from None
+    if code == 130:  # Ctrl-C outside of a study's chunks, which typer turns into this code
+        print("interrupted: stored results are kept", file=sys.stderr)
+    raise SystemExit(code)
 
 
 def _describe_end(error: Any) -> tuple[int, list[str]]:
@@ -321,10 +319,9 @@ def _describe_end(error: Any) -> tuple[int, list[str]]:
         return 130, [escape_controls(f"interrupted: {error} (continue: {again})")]
     if isinstance(error, InputError):
         return 2, [f"error: {line}" for line in error.lines]
+    if isinstance(error, OSError):  # such as a full disk behind the standard output
+        return 2, [f"error: {error}"]
     if isinstance(error, _UsageError):
-        name, option = sys.argv[1], getattr(error, "option_name", "")
-        if instead := gone.COMMANDS.get(name) or gone.OPTIONS.get((name, option)):
-            return 2, [f"error: {f'{name} {option}'.strip()}: {gone.LINE.format(instead)}"]
         text = to_one_line(error.format_message()).rstrip(".")
         help_ = "" if error.ctx is None else f" (see `{error.ctx.command_path} -h`)"
         return 2, [f"error: {text[:1].lower()}{text[1:]}{help_}"]

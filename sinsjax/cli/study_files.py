@@ -12,7 +12,6 @@ from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
-from sinsjax.messages import suggest_closest
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write
 
@@ -20,7 +19,7 @@ from sinsjax.platform.files import atomic_write
 def _list_names() -> list[str]:
     from sinsjax.study import files
 
-    return [*files.template_files(), *files.shipped_studies(), *files.GROUPS]
+    return [*files.template_files(), *files.shipped_studies()]
 
 
 def _list_explained() -> list[str]:
@@ -34,7 +33,7 @@ def init(
     name: Annotated[
         str | None,
         typer.Argument(
-            help="Template or shipped study; with --list also a group of studies.",
+            help="Template or shipped study.",
             show_default=False,
             metavar="NAME",
             autocompletion=options.completes(_list_names),
@@ -64,7 +63,7 @@ def init(
         ),
     ] = None,
     list_: Annotated[
-        bool, typer.Option("--list", help="List the names, or describe those of a group, and exit.")
+        bool, typer.Option("--list", help="List the templates and shipped studies, and exit.")
     ] = False,
 ) -> None:
     """Begin a study file: a copy of a template or a shipped study, with its comments.
@@ -76,7 +75,7 @@ def init(
 
     console = plain_console()
     if list_:
-        for line in _list_studies(name):
+        for line in _list_studies():
             print_line(console, line, wrap=True)
         return
     if name is None:
@@ -115,28 +114,16 @@ def _describe_gaps(text: str, path: Path, log: Path) -> Iterator[str]:
     yield f"`sinsjax align {log} {path} -o out` runs it."
 
 
-def _list_studies(name: str | None) -> Iterator[str]:
-    """Yield the studies to begin with and the groups, or the studies of a group."""
+def _list_studies() -> Iterator[str]:
+    """Yield the templates and shipped studies with their purposes."""
     from sinsjax.study import files
 
-    groups = {"templates": files.template_files()} | files.studies_by_group()
-    if name is not None:
-        studies = {study: path for group in groups.values() for study, path in group.items()}
-        known = groups | {study: {study: path} for study, path in studies.items()}
-        if name not in known:
-            hint = suggest_closest(name, known)
-            raise InputError(f"{name}: no study or group of this name{hint}")
-        groups, described = {name: known[name]}, {name}
-    else:
-        described = {"templates", "first"}
-    for group, members in groups.items():
-        yield f"{group}: {files.GROUPS.get(group, '')}".rstrip(": ")
-        if group in described:
-            yield from (f"    {study}: {files.read_purpose(at)}" for study, at in members.items())
-        else:
-            yield f"    {', '.join(members)}"
-    if name is None:
-        yield "`sinsjax init --list GROUP` describes the studies of a group."
+    for title, paths in (
+        ("templates", files.template_files()),
+        ("studies", files.shipped_studies()),
+    ):
+        yield f"{title}:"
+        yield from (f"    {name}: {files.read_purpose(path)}" for name, path in paths.items())
 
 
 def validate(config: Config, changes: Changes = None) -> None:

@@ -82,7 +82,6 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             batch.params.method,
             batch.n_variants,
             batch.environment.site,
-            is_reversed=spec.reverses,
         )
 
 

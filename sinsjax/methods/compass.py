@@ -102,32 +102,20 @@ Number: TypeAlias = Any
 
 
 class LevelGains(NamedTuple):
-    """Gains of a levelling loop, [P2] Fig. 1: w_c = K2/R dV + K3 (integral of dV).
+    """Gains of a levelling loop, [P2] Fig. 1: w_c = K2/R dV + K3 (integral of dV)."""
 
-    Attributes:
-        k1: velocity damping, 1/s.
-        k2: of the platform rate from the velocity, in units of the transport rate 1/R.
-        k3: of the platform rate from the integral of the velocity, rad/(m s).
-    """
-
-    k1: Number
-    k2: Number
-    k3: Number
+    k1: Number  # velocity damping, 1/s
+    k2: Number  # of the platform rate from the velocity, in units of the transport rate 1/R
+    k3: Number  # of the platform rate from the integral of the velocity, rad/(m s)
 
 
 class AzimuthGains(NamedTuple):
-    """Gains of the azimuth loop, [P2] Fig. 2: w_cU = K(s) dV_N, K(s) = K3 / (omega_N (s + K4)).
+    """Gains of the azimuth loop, [P2] Fig. 2: w_cU = K(s) dV_N, K(s) = K3 / (omega_N (s + K4))."""
 
-    Attributes:
-        k1: as of `LevelGains`, likewise ``k2``.
-        k3: of the azimuth acceleration from the velocity, times omega_N, 1/(m s^2).
-        k4: of the lag in K(s), 1/s.
-    """
-
-    k1: Number
+    k1: Number  # as of `LevelGains`, likewise ``k2``
     k2: Number
-    k3: Number
-    k4: Number
+    k3: Number  # of the azimuth acceleration from the velocity, times omega_N, 1/(m s^2)
+    k4: Number  # of the lag in K(s), 1/s
 
 
 def level_gains(sigma: Number, damping: Number, *, gravity: Number, radius: Number) -> LevelGains:
@@ -166,52 +154,39 @@ def scale_azimuth_gains(gains: AzimuthGains, pace: Number) -> AzimuthGains:
 class Reversal(NamedTuple):
     """Factors on the loops' state at a direction reversal.
 
-    Attributes:
-        velocity: on both velocities.
-        integral: on both levelling integrals, which balance gyro drift and the Earth rate of a
-            heading error; both change sign with time.
-        rate: on the azimuth rate.
-        reflection: share by which each tilt is reflected about its equilibrium: 1 rotates the
-            platform by twice the tilt of the low-passed specific force, 0 not at all.
+    The levelling integrals, which balance gyro drift and the Earth rate of a heading error, change
+    their sign with those.
     """
 
-    velocity: Scalar
-    integral: Scalar
-    rate: Scalar
+    velocity: Scalar  # on both velocities
+    rate: Scalar  # on the azimuth rate
+    # Share by which each tilt is reflected about its equilibrium: 1 rotates the platform by
+    # twice the tilt of the low-passed specific force, 0 not at all
     reflection: Scalar
 
 
 REVERSALS = {
-    "reflect": Reversal(-1.0, -1.0, 1.0, 1.0),
-    "velocity": Reversal(-1.0, -1.0, 1.0, 0.0),
-    "velocity_and_rate": Reversal(-1.0, -1.0, -1.0, 0.0),
-    "velocity_drop_rate": Reversal(-1.0, -1.0, 0.0, 0.0),
-    "restart": Reversal(0.0, 0.0, 0.0, 0.0),
-    "keep": Reversal(1.0, -1.0, 1.0, 0.0),
+    "reflect": Reversal(-1.0, 1.0, 1.0),
+    "velocity": Reversal(-1.0, 1.0, 0.0),
+    "velocity_and_rate": Reversal(-1.0, -1.0, 0.0),
+    "keep": Reversal(1.0, 1.0, 0.0),
 }
 """Effect of a direction reversal by the names of ``turn``.
 
 ``velocity``, that of [P2], leaves azimuth rate and tilt, which a reversed Earth rate turns against
-the loop. After ``reflect`` the next pass continues where this one stopped. ``restart`` keeps the
-attitude alone.
+the loop. After ``reflect`` the next pass continues where this one stopped.
 """
 
 
 class LoopParams(NamedTuple):
-    """Params of the loops.
-
-    Attributes:
-        azimuth: gains at pace 1.
-        pace: factor on the sigma of the azimuth loop, with gains that move its roots by it.
-        azimuth_from: samples before the azimuth loop takes over the north channel.
-        smoothing: share of each new sample in each stage of the low-passed specific force.
-    """
+    """Params of the loops."""
 
     level: LevelGains
-    azimuth: AzimuthGains
+    azimuth: AzimuthGains  # gains at pace 1
+    # Factor on the sigma of the azimuth loop, with gains that move its roots by it
     pace: PiecewiseConstant
-    azimuth_from: Scalar
-    smoothing: Scalar
+    azimuth_from: Scalar  # samples before the azimuth loop takes over the north channel
+    smoothing: Scalar  # share of each new sample in each stage of the low-passed specific force
     reversal: Reversal
 
 
@@ -266,21 +241,13 @@ class LowPassed(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """The loops between two samples.
+    """The loops between two samples."""
 
-    Attributes:
-        nav: navigation solution; its velocity is an error, since the base does not travel.
-        integral_e: K3 times the integral of the east velocity, rad/s.
-        integral_n: of the north velocity, likewise, while it is levelled.
-        rate_u: azimuth rate of the platform, rad/s.
-        force_e: low-passed specific force, m/s^2; also ``force_n``.
-    """
-
-    nav: Navigation
-    integral_e: Scalar
-    integral_n: Scalar
-    rate_u: Scalar
-    force_e: LowPassed
+    nav: Navigation  # navigation solution; its velocity is an error, since the base does not travel
+    integral_e: Scalar  # K3 times the integral of the east velocity, rad/s
+    integral_n: Scalar  # of the north velocity, likewise, while it is levelled
+    rate_u: Scalar  # azimuth rate of the platform, rad/s
+    force_e: LowPassed  # low-passed specific force, m/s^2; also ``force_n``
     force_n: LowPassed
 
 
@@ -346,8 +313,8 @@ def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
             ve=reversal.velocity * nav.ve,
             vn=reversal.velocity * nav.vn,
         ),
-        integral_e=reversal.integral * state.integral_e,
-        integral_n=reversal.integral * state.integral_n,
+        integral_e=-state.integral_e,
+        integral_n=-state.integral_n,
         rate_u=reversal.rate * state.rate_u,
         force_e=LowPassed(*(kept * stage for stage in state.force_e)),
         force_n=LowPassed(*(kept * stage for stage in state.force_n)),

@@ -67,14 +67,14 @@ def _coriolis_up(nav: Navigation, place: Place) -> Scalar:
     return east + nav.vn * nav.vn * place.curvature_n
 
 
-def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
-    """Return the state with a share of the estimate fed back, and the rotation that was."""
+def _feed_back(state: FilterState, share: Scalar) -> FilterState:
+    """Return the state with a share of the estimate fed back."""
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
     turn = rotations.exp(phi)
     velocity = rotations.rotate(turn, Vec3(state.nav.ve, state.nav.vn, state.extra))
     error = apply_left_jacobian(phi, Vec3(fed_back[VE], fed_back[VN], jnp.zeros_like(fed_back[VE])))
-    corrected = state._replace(
+    return state._replace(
         nav=state.nav._replace(
             q=rotations.multiply(turn, state.nav.q),
             ve=velocity.x - error.x,
@@ -83,7 +83,6 @@ def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
         belief=subtract_fed_back(state.belief, fed_back),
         extra=jnp.zeros_like(state.extra),  # a base that does not travel
     )
-    return corrected, phi
 
 
 def apply_left_jacobian(phi: Vec3, v: Vec3) -> Vec3:

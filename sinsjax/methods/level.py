@@ -38,17 +38,11 @@ class LevelSection(Section):
 
 
 class LevelState(NamedTuple):
-    """A run between two samples.
+    """A run between two samples."""
 
-    Attributes:
-        nav: initial solution, whose attitude is the result before the first sample.
-        bias_tilt: tilt by the assumed accelerometer bias, rad.
-        sum: of the velocity increments in b, m/s; ``squares`` that of their squared magnitudes.
-    """
-
-    nav: Navigation
-    bias_tilt: Scalar
-    sum: Vec3
+    nav: Navigation  # initial solution, whose attitude is the result before the first sample
+    bias_tilt: Scalar  # tilt by the assumed accelerometer bias, rad
+    sum: Vec3  # of the velocity increments in b, m/s; ``squares`` that of their squared magnitudes
     squares: Scalar
     count: Scalar
 

@@ -7,7 +7,7 @@ engine knows them by these types alone.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
@@ -222,19 +222,6 @@ class OwnColumn(NamedTuple):
     applies_to: Callable[[StudyKeys], bool] = lambda study: True
 
 
-def _refuse_reuse(name: str, study: StudyKeys) -> None:
-    """Refuse passes and coarse alignment for a method that needs no start and reads data once."""
-    for point in study.combinations("method", "stored_s") if study.has("passes") else ():
-        if point["method"] == name and point["stored_s"] is not None:
-            text = f"does not apply to method {name}, which reads a record once (drop it)"
-            study.refuse("stored_s", text)
-    if study.is_recorded or not study.has("coarse"):
-        return
-    for point in study.combinations("method", "coarse_method"):
-        if point["method"] == name and point["coarse_method"] != "none":
-            study.refuse("coarse_method", f"method {name} needs no coarse alignment (give 'none')")
-
-
 @dataclass(frozen=True)
 class Method:
     """An alignment method. What its program has (a covariance, passes, ...) is read from that.
@@ -252,8 +239,8 @@ class Method:
         without_effect: keys of its sections that change nothing.
         columns: its own result columns.
         rules: check the rules between its keys, see `StudyKeys.refuse`.
-        needs_start: whether it starts from an attitude and a velocity, and can read a record
-            repeatedly; if not, the keys of a start change nothing.
+        needs_start: whether it starts from an attitude and a velocity; if not, the keys of a start
+            change nothing.
         finds_heading: whether it finds a heading. If not, only its pitch and roll are observed, and
             its runs have the status ``no_north``.
         gyro_bias_keys: pairs of keys, the sigma of the gyro bias states and the sigma of heading.
@@ -296,10 +283,17 @@ class Method:
         start = () if self.needs_start else (*INITIAL_KEYS, "position")
         return (*start, *self.without_effect)
 
-    @cached_property
-    def all_rules(self) -> tuple[Callable[[StudyKeys], None], ...]:
-        """Its rules, with those of a method that needs no start."""
-        return self.rules if self.needs_start else (partial(_refuse_reuse, self.name), *self.rules)
+    def check_data(self, study: StudyKeys) -> None:
+        """Refuse passes over a record that it reads once, and a coarse start without need."""
+        refused = {}
+        if study.has("passes") and self.program.passes is None:
+            refused["stored_s"] = f"method {self.name} reads a record once (drop it)"
+        if study.has("coarse") and not (self.needs_start or study.is_recorded):
+            refused["coarse_method"] = f"method {self.name} needs no coarse start (give 'none')"
+        for key, text in refused.items():
+            for point in study.combinations("method", key):
+                if point["method"] == self.name and point[key] not in (None, "none"):
+                    study.refuse(key, text)
 
     def own_columns(self, study: StudyKeys) -> tuple[OwnColumn, ...]:
         """Return its own result columns in a study."""

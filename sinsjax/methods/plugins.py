@@ -11,22 +11,17 @@ from sinsjax.methods.method import AttitudeCovariance, Program
 from sinsjax.types import Navigation, Quat, Sample, Vec3
 
 
-def check_plugin(
-    name: str, program: Program, params: Any, variants: int, site: Any, *, is_reversed: bool = False
-) -> None:
+def check_plugin(name: str, program: Program, params: Any, variants: int, site: Any) -> None:
     """Check what a plug-in's functions return, without running them (`jax.eval_shape`).
 
     Its params, leaves (variants, ...), need one value per variant; the state after a sample must be
-    like that of ``init``, attitude and covariance like those of one run at a `Site`; and a record
-    can be read back and forth only with ``passes``.
+    like that of ``init``, attitude and covariance like those of one run at a `Site`.
 
     Raises:
         InputError: the first of these that fails; begins with the name, that of the method.
     """
     if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
         raise InputError(f"{name}: params must return one value per variant")
-    if is_reversed and program.passes is None:
-        raise InputError(f"{name}: reads a stored record once (drop [passes])")
 
     def first_sample(params: Any, nav: Navigation, sample: Sample) -> dict[str, Any]:
         state = program.init(params, nav)

@@ -16,17 +16,12 @@ from sinsjax.types import Array, Flag, Scalar
 
 
 class FeedbackSchedule(NamedTuple):
-    """Times and gain of the closed-loop correction.
+    """Times and gain of the closed-loop correction."""
 
-    Attributes:
-        every: samples between two corrections.
-        gain: share of the estimate fed back each time, 1 for all of it.
-        restarts: 1 if a reset restarts the count to the next correction, 0 if the count continues;
-            None if it continues in all runs.
-    """
-
-    every: Scalar
-    gain: Scalar
+    every: Scalar  # samples between two corrections
+    gain: Scalar  # share of the estimate fed back each time, 1 for all of it
+    # 1 if a reset restarts the count to the next correction, 0 if the count continues; None if
+    # it continues in all runs
     restarts: Scalar | None = None
 
 
@@ -56,29 +51,21 @@ class Resets(NamedTuple):
     by the times; the narrower the windows, the closer to hard resets. Only for covariance resets
     whose ``keep`` and ``keep_yaw`` are 0 or 1, such as 'full' and 'yaw': of these the parts, one
     after the other, make what a hard reset makes at once.
-
-    Attributes:
-        samples: (M,) samples after which, or about which, P is reset, in any order; inf for none.
-        covariance_reset: effect of a reset.
-        width: half the width of a window, some tens of samples or more: a shorter window leaves
-            more than it should, as 1/(1 + h) is not exp(-h). None for hard resets.
     """
 
+    # (M,) samples after which, or about which, P is reset, in any order; inf for none
     samples: Array
-    covariance_reset: CovarianceReset
+    covariance_reset: CovarianceReset  # effect of a reset
+    # Half the width of a window, some tens of samples or more: a shorter window leaves more
+    # than it should, as 1/(1 + h) is not exp(-h). None for hard resets.
     width: Scalar | None = None
 
 
 class PiecewiseConstant(NamedTuple):
-    """A number that is constant between given samples.
+    """A number that is constant between given samples."""
 
-    Attributes:
-        samples: (M,) samples after which the number changes, increasing; inf for none.
-        values: (M + 1,) its values before the first change and after each.
-    """
-
-    samples: Array
-    values: Array
+    samples: Array  # (M,) samples after which the number changes, increasing; inf for none
+    values: Array  # (M + 1,) its values before the first change and after each
 
 
 _NEVER = 1e15

@@ -46,19 +46,12 @@ LEAST_AMPLITUDE = 0.05
 
 
 class Direction(NamedTuple):
-    """The estimated heading as a direction in the level plane.
+    """The estimated heading as a direction in the level plane."""
 
-    Attributes:
-        known: whether the measurements determine it; else it is that of the solution.
-        sine: of the azimuth.
-        cosine: of the azimuth.
-        amplitude: sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known.
-    """
-
-    known: Flag
-    sine: Scalar
-    cosine: Scalar
-    amplitude: Scalar
+    known: Flag  # whether the measurements determine it; else it is that of the solution
+    sine: Scalar  # of the azimuth
+    cosine: Scalar  # of the azimuth
+    amplitude: Scalar  # sqrt(s^2 + cos^2 a); 1 without gyro drift, and 1 where it is not known
 
 
 def build_filter(options: Options) -> Filter:
@@ -102,18 +95,16 @@ def init_unknown_heading(params: FilterParams, nav: Navigation) -> FilterState:
     return state._replace(belief=state.belief._replace(x=x))
 
 
-def _feed_back(state: FilterState, share: Scalar) -> tuple[FilterState, Vec3]:
+def _feed_back(state: FilterState, share: Scalar) -> FilterState:
     """V <- V - dV and C <- e C by a share of the estimate; s and k stay in the filter."""
     x = state.belief.x
     fed_back = tuple(share * estimate for estimate in x[:SINE])
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     turn = shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
     left = (*(a - b for a, b in zip(x[:SINE], fed_back, strict=True)), *x[SINE:])
-    corrected = state._replace(
-        nav=nav._replace(q=rotations.multiply(turn, nav.q)),
-        belief=state.belief._replace(x=left),
+    return state._replace(
+        nav=nav._replace(q=rotations.multiply(turn, nav.q)), belief=state.belief._replace(x=left)
     )
-    return corrected, Vec3(fed_back[TILT_E], fed_back[TILT_N], jnp.zeros_like(fed_back[TILT_E]))
 
 
 def _direction(state: Any) -> Direction:

@@ -184,8 +184,9 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
         summary: one row per run, with ``run_id`` and the keys.
         by: keys of the lines.
     """
-    keys = dict.fromkeys(["run_id", *by])
-    lines = islice(group_rows(summary.select(list(keys)), by), MAX_LINES)
+    keys = list(dict.fromkeys(["run_id", *by]))
+    columns = pa.table([require_column(summary, key) for key in keys], names=keys)
+    lines = islice(group_rows(columns, by), MAX_LINES)
     return {
         describe_point(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines
     }

@@ -147,6 +147,8 @@ def _cell_statistic(column: pa.ChunkedArray, name: str) -> CellStatistic:
     if pa.types.is_boolean(column.type):
         share = _FLAGS.get(name, f"{axis_label(name)} (%)")
         return CellStatistic(share, lambda runs: 100 * runs.mean(axis=-1), "viridis")
+    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)):
+        raise InputError(f"plot_map: column {name} has no numbers (give one that has)")
     name = f"rms of {axis_label(name)}"
     return CellStatistic(name, lambda runs: np.sqrt((runs**2).mean(axis=-1)))
 

@@ -307,9 +307,12 @@ def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     for program in (option for option, mean in enumerate(means) if np.isinf(mean)):
         own = analysis.mean(errors[program], outcome.clusters, limits=(0.0, _FAILED_ARCMIN))
         text = f"{methods[program]}: mean heading error {format_heading_error(own)}'"
-        more = analysis.mean_difference(errors[program], errors[best], outcome.clusters)
-        text += f", on the same draws {format_heading_error(more)}' more than that of"
-        text += f" {choices.options[best]}, the best here"
+        larger, smaller, word = errors[program], errors[best], "more"
+        if own.value < means[best]:
+            larger, smaller, word = smaller, larger, "less"
+        difference = analysis.mean_difference(larger, smaller, outcome.clusters)
+        text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
+        text += f" {choices.options[best]}, the best of sinsjax"
         yield Fact("Program", text)
 
 

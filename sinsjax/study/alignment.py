@@ -1,41 +1,34 @@
 """The sections of a study that an alignment reads, whatever its method."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError, WrapValidator
+from pydantic import AfterValidator, Field, WithJsonSchema
 
 from sinsjax import value_types as vt
-from sinsjax.messages import explain_error
-from sinsjax.methods.registry import METHODS, external_names
+from sinsjax.messages import suggest_closest
+from sinsjax.methods.registry import BROKEN, METHODS
 from sinsjax.value_types import KeyCondition, Section, field, rule_error
 
 _ANGLES = ("phi_e0_deg", "phi_n0_deg", "phi_u0_deg")
 
 
-def _check_method_name(name: Any, check: Any) -> Any:
-    """Return the name of a method, or raise an error with the known names."""
-    if isinstance(name, str) and external_names([name]):
-        return name
-    try:
-        return check(name)
-    except ValidationError as error:
-        raise rule_error(explain_error(error.errors()[0])) from None
+def _check_method_name(name: str) -> str:
+    """Refuse the name of no method, or of one that cannot be used."""
+    if name in BROKEN.keys() - METHODS.keys():
+        raise rule_error(f"{name!r} cannot be used: {BROKEN[name]}")
+    if name not in METHODS:
+        *others, last = map(repr, METHODS)
+        text = f"must be {', '.join(others)} or {last}, not {name!r}"
+        raise rule_error(f"{text}{suggest_closest(name, METHODS)}")
+    return name
 
 
-if TYPE_CHECKING:
-    MethodName = str
-else:
-    MethodName = Annotated[Literal[tuple(METHODS)], WrapValidator(_check_method_name)]
+_NAMES = WithJsonSchema({"enum": [*METHODS], "type": "string"})
+MethodName = Annotated[str, AfterValidator(_check_method_name), _NAMES]
 
-
-def _initial_angle(about: str) -> Any:
-    rotate = "the three angles rotate the computed to the true attitude"
-    return field(f"initial misalignment about {about}; {rotate}", 0.0)
-
-
-def _initial_velocity(axis: str) -> Any:
-    error = "an error, since the base does not travel"
-    return field(f"initial computed {axis} velocity; {error}", 0.0)
+_METHODS = ", ".join(f'"{name}"' for name in METHODS)
+_ROTATE = "the three angles rotate the computed to the true attitude"
+_AN_ERROR = "an error, since the base does not travel"
 
 
 def _has_rotation(*angles: float | None) -> bool:
@@ -47,16 +40,18 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = field("see `sinsjax keys METHOD`", "kalman5")
-    phi_e0_deg: vt.HalfTurn = _initial_angle("east")
-    phi_n0_deg: vt.HalfTurn = _initial_angle("north")
-    phi_u0_deg: vt.HalfTurn = _initial_angle("up, the heading error")
+    method: MethodName = field(f"see `sinsjax keys METHOD` ({_METHODS})", "kalman5")
+    phi_e0_deg: vt.HalfTurn = field(f"initial misalignment about east; {_ROTATE}", 0.0)
+    phi_n0_deg: vt.HalfTurn = field(f"initial misalignment about north; {_ROTATE}", 0.0)
+    phi_u0_deg: vt.HalfTurn = field(
+        f"initial misalignment about up, the heading error; {_ROTATE}", 0.0
+    )
     misalignment: Literal["vector", "euler"] = field(
         "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
         "vector",
     )
-    ve0_m_per_s: vt.Speed = _initial_velocity("east")
-    vn0_m_per_s: vt.Speed = _initial_velocity("north")
+    ve0_m_per_s: vt.Speed = field(f"initial computed east velocity; {_AN_ERROR}", 0.0)
+    vn0_m_per_s: vt.Speed = field(f"initial computed north velocity; {_AN_ERROR}", 0.0)
     position: Literal["fixed", "integrated"] = field(
         "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )
@@ -97,14 +92,10 @@ class PassesSection(Section):
         " last complete forward pass within it",
         "duration",
     )
-    turn: (
-        Literal["reflect", "velocity", "velocity_and_rate", "velocity_drop_rate", "restart", "keep"]
-        | None
-    ) = field(
+    turn: Literal["reflect", "velocity", "velocity_and_rate", "keep"] | None = field(
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
-        " motion. 'velocity_and_rate': velocity and azimuth rate. 'velocity_drop_rate': velocity;"
-        " azimuth rate becomes zero. 'keep': none. 'restart': all become zero but the attitude",
+        " motion. 'velocity_and_rate': velocity and azimuth rate. 'keep': none",
         default="reflect",
     )
     turn_smoothing_s: vt.Seconds | None = field(
@@ -121,16 +112,10 @@ class PassesSection(Section):
 class CoarseSection(Section):
     """[coarse]: coarse alignment before the method.
 
-    In a simulation it is a stage of every run, after which the method starts with zero velocity and
-    its P0. Until then the attitude of a run is that of the coarse method. All times count from the
-    first sample of data, and resets and feedback start with the method. The initial misalignment
-    and velocity of [alignment] have no effect. 'replay' propagates the coarse attitude back to the
-    first sample, and the method processes all data again before the next record time; its results
-    for the time of the coarse alignment are known only then, and are not stored.
-
-    For a record, 'replay' is the same. With 'hand_over' each start time is coarsely aligned before
-    the run: the end of the coarse alignment is t = 0, and the initial misalignment is added to its
-    attitude.
+    It is the first stage of a run, in place of the initial misalignment and velocity; times count
+    from the first sample of data. 'replay' processes that data again before the next record time.
+    A record that is handed over is coarsely aligned before the run: its end is t = 0, and the
+    initial misalignment is added to its attitude.
     """
 
     conditions = (

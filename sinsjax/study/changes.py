@@ -1,8 +1,7 @@
 """Changes to a study by key: ``--set`` of the command line, and `Study.replace`.
 
-A changed key replaces every value of that key in the study, also an axis, a key of the cases or a
-drawn key, and the alternatives to it. An empty table as the value drops a section, an axis or a
-drawn key.
+A changed key replaces every value of that key, also an axis, a key of the cases or a drawn key, and
+the alternatives to it. An empty table as the value drops a section, an axis or a drawn key.
 """
 
 import re
@@ -18,7 +17,6 @@ from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 _EXAMPLE = "such as alignment.phi_u0_deg"
 _WORD = re.compile(r"[+-]?[A-Za-z_][\w+-]*")  # also an order of axes, as -y-xz
 _MAX_NESTING = 50  # a study has at most five
-_COMMA = re.compile(r"[+-]?\d+,\d+")
 
 
 class SetOptions(dict[str, Any]):
@@ -37,9 +35,6 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
     """Return the values of some texts ``PLACE=VALUE`` by place.
 
     Values are written as in TOML; a single word needs no quotes.
-
-    Raises:
-        InputError: a text has no place or no value, or a value is nested too deeply.
     """
     changes = SetOptions()
     for text in texts:
@@ -52,8 +47,7 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
             raise InputError(f"--set {place}: {TOO_DEEP}") from None
         except ValueError:
             if not _WORD.fullmatch(value):
-                points = f"decimal point: {value.replace(',', '.')}; list: [{value}]"
-                hint = points if _COMMA.fullmatch(value) else "quote text"
+                hint = "write text in quotes, a list as [1, 5]"
                 raise InputError(f"--set {text}: {value} is not a TOML value ({hint})") from None
             changes[place] = value
     return changes
@@ -62,17 +56,9 @@ def parse_changes(texts: Iterable[str]) -> SetOptions:
 def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> TomlTable:
     """Return a study's tables with some values changed; both arguments are left as they are.
 
-    The user of `SetOptions` is told the alternatives to a key that it replaces.
-
-    Args:
-        tables: sections by name.
-        changes: values by place: ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or
-            deeper, such as ``tune.variables.p0_yaw_deg.low``; or all cases by ``cases``. An empty
-            table drops the section, key, axis or table of that name.
-
-    Raises:
-        InputError: a place does not name a section and a key, there is nothing to drop, two changes
-            are alternatives, or a value is nested too deeply.
+    A place is ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or deeper, such as
+    ``tune.variables.p0_yaw_deg.low``; or ``cases`` for all of them. The user of `SetOptions` is
+    told the alternatives to a key that it replaces.
     """
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
@@ -92,8 +78,6 @@ def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -
         if not (above and all(above) and name):
             hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
             raise InputError(f"{place}: must name a section and a key ({hint})")
-        if above[0] == "cases":
-            raise InputError(f"{place}: the entries of cases cannot be changed (edit the file)")
     for part in above:
         if isinstance(table, dict):
             table = table.get(part) if is_drop else table.setdefault(part, {})
@@ -118,11 +102,7 @@ def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -
 def copy_tables(
     value: Any, sequence: Callable[[Iterable[Any]], Any] = list, depth: int = _MAX_NESTING
 ) -> Any:
-    """Return a deep copy of tables, with all lists and tuples as one of both.
-
-    Raises:
-        InputError: they are nested too deeply, as by ``[a.a.a.a]``, which a TOML parser accepts.
-    """
+    """Return a deep copy of tables, with all lists and tuples as one of both."""
     if not isinstance(value, Mapping | list | tuple):
         return value
     if not depth:
@@ -135,10 +115,8 @@ def copy_tables(
 def _drop_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
     """Remove a key from all tables but one, and its alternatives from all.
 
-    An empty zip is removed, and so is [drawn] if it does not draw a key any more.
-
-    Returns:
-        The alternatives that are gone, each after its table in brackets.
+    The alternatives that were there are returned, each after its table in brackets. An empty zip is
+    removed, and so is [drawn] if it does not draw a key any more.
     """
     axes, cases, drawn = (tables.get(name) for name in ("axes", "cases", "drawn"))
     zips = list(axes.items()) if isinstance(axes, dict) else []

@@ -1,8 +1,4 @@
-"""What a key means that a study, or one of its cases, leaves out.
-
-Most defaults are those of the fields. Those here depend on other keys, or on whether the study is
-recorded.
-"""
+"""What a key means that a study, or one of its cases, leaves out, if other keys decide it."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
@@ -20,12 +16,7 @@ from sinsjax.study.schema import EARTH_CONSTANTS
 
 
 class GivenKeys(NamedTuple):
-    """The keys that a study gives, or one of its cases.
-
-    Attributes:
-        tables: sections by name.
-        varied: values of keys that the study varies; those of a case alone, or of all cases.
-    """
+    """The keys that a study gives, or one of its cases: sections by name, and values that vary."""
 
     tables: TomlTable
     varied: Mapping[str, Collection[Any]]
@@ -104,21 +95,3 @@ def filled_in(given: GivenKeys) -> dict[str, TomlTable]:
             if default is not None:
                 values[key] = default
     return found
-
-
-def without_defaults(tables: TomlTable, varied: Mapping[str, Collection[Any]]) -> TomlTable:
-    """Return the tables of a complete study without the defaults that depend on other keys."""
-    result = dict(tables)
-    for name in SECTIONS.keys() & tables.keys():
-        fields, values, kept = SECTIONS[name].model_fields, tables[name], dict(tables[name])
-        for key in fields.keys() & values.keys():
-            others = {other: value for other, value in values.items() if other != key}
-            default = None
-            if SECTION_OF[key] == name:
-                default = dependent_default(key, GivenKeys(tables | {name: others}, varied))
-            if default is None and (fields[key].default_factory or name in SECTIONS_OF_METHODS):
-                default = fields[key].get_default(call_default_factory=True, validated_data=values)
-            if default is not None and kept[key] == default:
-                del kept[key]
-        result[name] = kept
-    return result

@@ -20,12 +20,8 @@ _NOISES = (ACCEL_NOISE, GYRO_NOISE)
 def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     """Return the ratios of the noise in Q to that of the sensors, as standard deviations.
 
-    Args:
-        study: checked study with simulated sensors.
-
-    Returns:
-        The distinct ratios over all variants, for ``accelerometers`` and ``gyros``; empty without a
-        filter, and without white noise that all draws have.
+    They are the distinct ratios over all variants, for ``accelerometers`` and ``gyros``; none
+    without a filter, and without white noise that all draws have.
     """
     ratios = {noise.sensors: set[float]() for noise in _NOISES}
     for noise in _NOISES if study.has("filter") else ():
@@ -37,17 +33,11 @@ def noise_ratios_by_sensor(study: Study) -> dict[str, set[float]]:
     return ratios
 
 
-def _takes_surge_for_noise(method: str) -> bool:
-    """Return whether a method is a filter without states for the surge."""
-    sections = METHODS[method].sections
-    return "filter" in sections and "surge" not in sections
-
-
 def _check_q_unit(study: Study) -> None:
     """Refuse a Q without its unit, a density in another one, and a unit without Q."""
     keys = [key for noise in _NOISES for key in noise.forms]
     given = [key for key in keys if study.gives(key)]
-    points = list(study.combinations("q_reading", *keys))
+    points = list(study.combinations("q_reading", *keys)) if study.has("filter") else []
     if any(p["q_reading"] is None and any(p[key] is not None for key in keys) for p in points):
         hint = "'psd' for densities, else 'per_sample' or 'per_step'"
         study.refuse("q_reading", f"required with {' and '.join(given)} ({hint})")
@@ -64,7 +54,8 @@ def _check_q(noise: ProcessNoise, study: Study) -> None:
     """Refuse a study in which neither keys nor the sensors determine Q."""
     sensor_keys = () if study.is_recorded else noise.white
     drawn = [key for key in sensor_keys if key in study.drawn_keys]
-    for point in study.combinations("method", *noise.forms, *sensor_keys):
+    points = study.combinations("method", *noise.forms, *sensor_keys)
+    for point in points if study.has("filter") else ():
         given = any(point[key] is not None for key in noise.forms)
         if given or point["method"] not in reading_methods(noise.key):
             continue
@@ -83,8 +74,11 @@ def _check_q(noise: ProcessNoise, study: Study) -> None:
 def _check_r(study: Study) -> None:
     """Refuse an omitted R that would follow a surge that draws vary."""
     drawn = [key for key in keys_of(surge_density) if key in study.drawn_keys]
-    for point in study.combinations("method", "r_velocity_m_per_s") if drawn else ():
-        if point["r_velocity_m_per_s"] is None and _takes_surge_for_noise(point["method"]):
+    points = study.combinations("method", "r_velocity_m_per_s")
+    for point in points if drawn and study.has("filter") else ():
+        sections = METHODS[point["method"]].sections
+        follows = "filter" in sections and "surge" not in sections
+        if point["r_velocity_m_per_s"] is None and follows:
             text = f"required ({drawn[0]} is drawn, but the filter has the same R in all draws)"
             study.refuse("r_velocity_m_per_s", text)
 
@@ -94,4 +88,4 @@ NOISE_RULES: tuple[Callable[[Study], None], ...] = (
     *(partial(_check_q, noise) for noise in _NOISES),
     _check_r,
 )
-"""The rules of Q and R, for a study with [filter]."""
+"""The rules of Q and R."""

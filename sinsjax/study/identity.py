@@ -47,42 +47,28 @@ def describe_differences(
 ) -> list[str]:
     """Return the keys that affect results and differ between two studies, with both values.
 
-    Args:
-        old: first study, or its sections from a manifest.
-        new: second study, or its sections.
-        labels: words for the places of both.
+    A study may be the sections of a manifest; the labels are words for the places of both.
     """
-    old_values, new_values = _values_by_key(old), _values_by_key(new)
-    changed = [
-        f"{key}: {_format_value(before)} {labels[0]}, {_format_value(after)} {labels[1]}"
-        for key in dict.fromkeys((*old_values, *new_values))
-        if (before := old_values.get(key)) != (after := new_values.get(key))
-    ]
-    if not changed and any(key.endswith("attitude_file") for key in new_values):
-        return ["the content of [motion] attitude_file, or the order of its keys"]
-    return changed or ["its keys are in another order"]
+    before, after = _values_by_key(old), _values_by_key(new)
+    return [
+        f"{key}: {shorten(str(before.get(key, 'none')), 60)} {labels[0]},"
+        f" {shorten(str(after.get(key, 'none')), 60)} {labels[1]}"
+        for key in before | after
+        if before.get(key) != after.get(key)
+    ] or ["the order of its keys, or the content of [motion] attitude_file"]
 
 
 def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a study by section and key of its file."""
     tables = dict(sections_to_json(study) if isinstance(study, Study) else study)
-    zips, cases = _as_table(tables.pop("zips", None)), tables.pop("cases", ())
+    zips, cases = tables.pop("zips", {}), tables.pop("cases", ())
     tables |= {f"axes.{name}": keys for name, keys in zips.items()}
-    tables |= {f"cases {i}": case for i, case in enumerate(cases)}
-    ignored = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
+    tables |= {f"cases {number}": case for number, case in enumerate(cases)}
+    names = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
     return {
         place: value
         for name, table in tables.items()
-        if name != "tune"
-        for key, value in _as_table(table).items()
-        if (place := f"[{name}] {key}") not in ignored
+        if name != "tune" and isinstance(table, Mapping)
+        for key, value in table.items()
+        if (place := f"[{name}] {key}") not in names
     }
-
-
-def _as_table(value: Any) -> Mapping[str, Any]:
-    """Return a table of a manifest; empty if the entry is not a table."""
-    return value if isinstance(value, Mapping) else {}
-
-
-def _format_value(value: Any) -> str:
-    return "none" if value is None else shorten(str(value), 60)

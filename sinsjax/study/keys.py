@@ -1,8 +1,10 @@
 """The keys of a study: `KEYS` has one object per key, which the rules, messages and pages read."""
 
+import json
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from functools import cache
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, NamedTuple
 
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -37,8 +39,8 @@ _SECTIONS_AFTER: dict[str, type[Section]] = {
     "stop_when": schema.StopWhenSection,
     "tune": schema.TuneSection,
 }
-_TABLES_OF_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
-drop_clashing_plugins(_SECTIONS_BEFORE | _SECTIONS_AFTER | _TABLES_OF_SWEEPS)
+_SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
+drop_clashing_plugins(_SECTIONS_BEFORE | _SECTIONS_AFTER | _SWEEPS)
 
 SECTIONS = _SECTIONS_BEFORE | SECTIONS_OF_METHODS | _SECTIONS_AFTER
 """Sections of leaf keys by their name in the file."""
@@ -82,27 +84,16 @@ VARYING = (
 
 
 class Key(NamedTuple):
-    """A key of a study file.
-
-    Attributes:
-        section: table that it belongs to.
-        name: leaf key.
-        unit: unit of its numbers; empty without one.
-        default: value as a file writes it, a description, or ``required``; empty without a default.
-        meaning: description, with the words that the key accepts.
-        info: usual range, and dependence of the default on other keys.
-        methods: methods that read it.
-        depends_on: keys whose values decide whether it has an effect.
-    """
+    """A key of a table in a study file."""
 
     section: str
     name: str
     unit: str
-    default: str
+    default: str  # as a file writes it, a description, or "required"; empty without one
     meaning: str
     info: KeyInfo
-    methods: tuple[str, ...]
-    depends_on: tuple[str, ...]
+    methods: tuple[str, ...]  # that read it
+    depends_on: tuple[str, ...]  # keys whose values decide whether it has an effect
 
     @property
     def readers_text(self) -> str:
@@ -115,11 +106,17 @@ class Key(NamedTuple):
 
 
 def unknown_key_error(key: str, known: Iterable[str]) -> str:
-    """Return the error text of a key that is gone, or of an unknown one with the closest key."""
+    """Return the error text of a key that is gone, in the wrong section, or unknown."""
     for place, text in gone.KEYS.items():
         if place.partition(".")[2] == key:
             return gone.LINE.format(text)
-    return f"unknown key{suggest_closest(key, known)}"
+    if key in SECTION_OF:
+        return f"unknown key (it belongs in [{SECTION_OF[key]}])"
+    for names in (known, SECTION_OF):
+        for close in get_close_matches(str(key), list(names), n=1):
+            section = f" in [{SECTION_OF[close]}]" if close in SECTION_OF else ""
+            return f"unknown key (did you mean {close}{section}?)"
+    return "unknown key"
 
 
 def leaf_info(key: str) -> KeyInfo:
@@ -152,66 +149,41 @@ def is_condition_key(key: str) -> bool:
 @cache
 def effect_conditions(key: str) -> tuple[KeyCondition, ...]:
     """Return the conditions under which a key has an effect."""
-    section = SECTIONS[SECTION_OF[key]]
-    return tuple(condition for condition in section.conditions if key in condition.keys)
+    return tuple(c for c in SECTIONS[SECTION_OF[key]].conditions if key in c.keys)
 
 
 @cache
 def deciding_keys(key: str) -> tuple[str, ...]:
     """Return the keys whose values decide whether a key has an effect."""
-    conditional = (given for condition in effect_conditions(key) for given in condition.given)
-    everywhere = len(reading_methods(key)) == len(METHODS)
-    return tuple(dict.fromkeys([*([] if everywhere else ["method"]), *conditional]))
+    method = () if len(reading_methods(key)) == len(METHODS) else ("method",)
+    return tuple(dict.fromkeys([*method, *(k for c in effect_conditions(key) for k in c.given)]))
 
 
 def reading_methods(key: str) -> tuple[str, ...]:
     """Return the methods on which a key has an effect: those that read it, or all if none does."""
     methods = METHODS.values()
-    is_read = any(key in method.keys for method in methods)
-    return tuple(
-        m.name for m in methods if (key in m.keys or not is_read) and key not in m.idle_keys
-    )
+    readers = [method for method in methods if key in method.keys] or methods
+    return tuple(method.name for method in readers if key not in method.idle_keys)
 
 
 def has_effect(key: str, values: Mapping[str, Any]) -> bool:
-    """Return whether a key has an effect on a run.
-
-    Args:
-        key: leaf key.
-        values: values of the keys that `deciding_keys` lists; None for a drawn key.
-    """
+    """Return whether a key has an effect, by the values of its `deciding_keys`; None if drawn."""
     if "method" in deciding_keys(key) and values["method"] not in reading_methods(key):
         return False
-    return all(c.acts(*(values[given] for given in c.given)) for c in effect_conditions(key))
-
-
-def accepted_words(annotation: Any) -> tuple[str, ...]:
-    """Return the words that a key accepts; empty for a key of numbers or of free text."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return next(filter(None, map(accepted_words, get_args(annotation))), ())
+    return all(condition.acts_at([values]) for condition in effect_conditions(key))
 
 
 def _build_key(section: str, name: str, field: FieldInfo) -> Key:
-    text, words = field.description or "", accepted_words(field.annotation)
-    if not all(f"'{word}'" in text for word in words):
-        text = f"{text} ({', '.join(map(format_toml, words))})"
     is_leaf = SECTION_OF.get(name) == section
-    return Key(
-        section,
-        name,
-        split_unit(name)[1],
-        _format_default(field),
-        text,
-        key_info(field),
-        reading_methods(name) if is_leaf else tuple(METHODS),
-        deciding_keys(name) if is_leaf else (),
-    )
+    methods = reading_methods(name) if is_leaf else tuple(METHODS)
+    depends_on = deciding_keys(name) if is_leaf else ()
+    unit, info = split_unit(name)[1], key_info(field)
+    default, text = _format_default(field, info), field.description or ""
+    return Key(section, name, unit, default, text, info, methods, depends_on)
 
 
-def _format_default(field: FieldInfo) -> str:
+def _format_default(field: FieldInfo, info: KeyInfo) -> str:
     """Return the default of a key in its words, or as a file writes it; empty without one."""
-    info = key_info(field)
     if isinstance(info.otherwise, str):
         return info.otherwise
     if info.in_simulation is not None:
@@ -226,11 +198,9 @@ def format_toml(value: Any) -> str:
     """Return a value as a study file writes it."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(format_toml, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, dict):
-        return ""
-    return f'"{value}"' if isinstance(value, str) else f"{value:.12g}"
+    if isinstance(value, bool | str):
+        return json.dumps(value)
+    return "" if isinstance(value, dict) else f"{value:.12g}"
 
 
 KEYS: dict[tuple[str, str], Key] = {
@@ -242,15 +212,9 @@ KEYS: dict[tuple[str, str], Key] = {
 
 
 def find_keys(name: str | None = None) -> list[Key]:
-    """Return all keys of a study, or those of a section, a method or a name.
+    """Return all keys, or those of a section with its tables, of a method, or of a name.
 
-    Args:
-        name: section, key, ``section.key``, or a method for the keys of its sections; None for
-            all keys; a section has those of its tables. Any other text finds the keys whose name
-            contains it.
-
-    Raises:
-        InputError: nothing has this name.
+    Any other text finds the keys whose name contains it; an `InputError` if there is none.
     """
     if name in METHODS:
         sections = METHODS[name].sections
@@ -261,14 +225,14 @@ def find_keys(name: str | None = None) -> list[Key]:
         raise InputError(f"[{name}]: has the keys of other sections ({VARYING})")
     if name is None:
         return [*KEYS.values()]
-    names = {text: None for s, key in KEYS for text in (s, s.partition(".")[0], key, f"{s}.{key}")}
     found = [
         key
         for (section, leaf), key in KEYS.items()
-        if name in (section, leaf, f"{section}.{leaf}") or section.startswith(f"{name}.")
+        if name in (section, section.partition(".")[0], leaf, f"{section}.{leaf}")
     ] or [key for key in KEYS.values() if name and name in key.name]
     if not found:
-        hint = suggest_closest(name, [*names, *METHODS]) or " (`sinsjax keys` lists all keys)"
+        hint = suggest_closest(name, [*SECTIONS, *SECTION_OF, *METHODS])
+        hint = hint or " (`sinsjax keys` lists all keys)"
         raise InputError(f"{name}: unknown section, key or method{hint}")
     return found
 
@@ -277,15 +241,14 @@ def describe_method(method_name: str | None) -> list[str]:
     """Return the description of a method in lines; empty for another name."""
     if method_name not in METHODS:
         return []
-    method = METHODS[method_name]
-    package, version = PACKAGES.get(method_name, ("", ""))
+    method, package = METHODS[method_name], " ".join(PACKAGES.get(method_name, ()))
     sections = ", ".join(f"[{name}]" for name in method.sections) or "none"
-    read = (key for key in (*INITIAL_KEYS, *method.reads) if key not in method.idle_keys)
-    reads = ", ".join(read) or "nothing"
-    return [
-        f"{method_name}: {method.summary}",
-        f"    source: {method.source}",
-        *([f"    package: {package} {version}"] if package else []),
-        f"    sections: {sections}; keys of [alignment] and [passes]: {reads}",
-        *([f"    keys without effect: {', '.join(method.idle_keys)}"] if method.idle_keys else []),
-    ]
+    read = [key for key in (*INITIAL_KEYS, *method.reads) if key not in method.idle_keys]
+    facts = {
+        "source": method.source,
+        "package": package,
+        "sections": f"{sections}; keys of [alignment] and [passes]: {', '.join(read) or 'nothing'}",
+        "keys without effect": ", ".join(method.idle_keys),
+    }
+    lines = (f"    {fact}: {text}" for fact, text in facts.items() if text)
+    return [f"{method_name}: {method.summary}", *lines]

@@ -1,12 +1,9 @@
 """Reading and writing studies: one TOML file, checked in full before anything runs.
 
-A file either gives a `Study` or raises `InputError` with a line for each of its mistakes that the
-first stage with any finds, ``FILE: [section] key: what is wrong (way on)``. The stages are names of
-sections and keys, values, rules (`rules.STAGES`), and points of [tune]. `sweep` reads the
-tables that vary a study. Values stay in the units of the file.
+A file either gives a `Study` or raises `InputError` with a line for each mistake that the first
+stage with any finds: names of sections and keys, values, rules (see `rules`), points of [tune].
 """
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,8 +13,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import escape_controls, explain_error, format_list_index, suggest_closest
-from sinsjax.methods.registry import BROKEN, METHODS, register_external
+from sinsjax.messages import escape_controls, explain_error, suggest_closest
+from sinsjax.methods.registry import BROKEN, register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
 from sinsjax.study.defaults import GivenKeys, filled_in
@@ -30,7 +27,6 @@ from sinsjax.study.keys import (
     key_summary,
     unknown_key_error,
 )
-from sinsjax.study.questions import reject_open_questions
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
@@ -41,7 +37,6 @@ from sinsjax.study.sweep import (
     without_gone_settings,
 )
 
-_SWEEP_TABLES = ("axes", "cases", "drawn")
 SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 """Sections of a sheet, which `sinsjax.advise` reads."""
 
@@ -62,13 +57,13 @@ def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = N
         >>> sinsjax.load_study("reset_sweep", {"study.draws": 2})
         Study reset_sweep
           runs    448 variants x 2 draws = 896 runs
-          axes    reset_count 0..6 (7); reset_cycle_s 10..100 (8); phi_u0_deg 0..90 (8)
+          axes    reset_count (7); reset_cycle_s (8); phi_u0_deg (8)
           method  kalman5
           length  900 s at 100 Hz
     """
     if isinstance(source, Study):
         return source.replace(changes) if changes else source
-    return _build(files.read_tables(source), files.source_name(source), changes or {}, source)
+    return build_study(files.read_tables(source), files.source_name(source), changes or {})
 
 
 def study_from_dict(data: TomlTable, source: str = "study") -> Study:
@@ -92,11 +87,11 @@ def study_from_dict(data: TomlTable, source: str = "study") -> Study:
         >>> sinsjax.study_from_dict(tables, "mine")
         Study mine
           runs    3 variants x 8 draws = 24 runs
-          axes    phi_u0_deg 1, 10, 30
+          axes    phi_u0_deg (3)
           method  kalman5
           length  60 s at 100 Hz
     """
-    return _build(data, source, {})
+    return build_study(data, source)
 
 
 def study_to_toml(study: Study) -> str:
@@ -108,57 +103,41 @@ def study_to_toml(study: Study) -> str:
 def with_point(study: Study, point: TomlTable) -> Study:
     """Return a study with other values of some keys, and without [tune].
 
-    Args:
-        study: checked study, left as it is; none of the keys is swept or drawn.
-        point: values by leaf key. Alternatives to these keys are dropped: a study with
-            ``reset_times_s`` has no ``reset_count``.
-
-    Raises:
-        InputError: the result is not a valid study.
+    None of the keys is swept or drawn. Alternatives to them are dropped: a study with
+    ``reset_times_s`` has no ``reset_count``.
     """
-    return study_from_dict(search_space.insert_point(study_to_tables(study), point), study.name)
+    return build_study(search_space.insert_point(study_to_tables(study), point), study.name)
 
 
 def with_rate(study: Study, rate_hz: float) -> Study:
-    """Return a recorded study with the rate of its record, unless it gives a rate itself.
-
-    Raises:
-        InputError: the study is not valid at this rate.
-    """
+    """Return a recorded study with the rate of its record, unless it gives a rate itself."""
     return study if study.study.rate_hz else study.replace({"study.rate_hz": rate_hz})
 
 
-def _build(
-    data: TomlTable, source: str, changes: Mapping[str, Any], path: str | Path | None = None
-) -> Study:
-    """Return the study of some tables with changes, whose file shows why a question is open."""
+def build_study(data: TomlTable, source: str, changes: Mapping[str, Any] | None = None) -> Study:
+    """Return the study of some tables with changes, of which every error names the source."""
     try:
         tables = apply_changes(data, changes) if changes else data
-        reject_open_questions(tables, path)
         study = _read_study(tables, escape_controls(Path(source).stem))
         if study.tune and study.study.rate_hz:
             _check_tuning_points(study)
         return study
     except InputError as error:
-        lines = error.with_source(source).lines
-        if path and "sensors" in data and data.keys() <= {*SHEET_TABLES}:
-            hint = f"`sinsjax advise {path} --study FILE` writes a study of a data sheet"
-            lines = (*lines, f"{source}: has no [alignment] ({hint})")
-        raise InputError(*lines) from None
+        raise error.with_source(source) from None
 
 
-Study.from_tables = staticmethod(_build)
+Study.from_tables = staticmethod(build_study)
 
 
 def _read_study(data: TomlTable, name: str) -> Study:
     """Return the study of some tables: names, sweep, defaults, values, rules."""
     tables, errors = without_gone_settings(copy_tables(data, tuple)), ErrorCollector()
-    _check_methods_usable(tables)
     _check_tables(tables)
     _register_external(tables)
-    sweep, inherited = read_sweep(tables, errors)
-    given = {  # the cases have the others
-        section: {key: value for key, value in table.items() if key not in inherited}
+    sweep = read_sweep(tables, errors)
+    in_cases = {*sweep.cases[0]} if sweep.cases else set()
+    given = {
+        section: {key: value for key, value in table.items() if key not in in_cases}
         for section, table in tables.items()
         if section in SECTIONS
     }
@@ -186,10 +165,9 @@ def _read_study(data: TomlTable, name: str) -> Study:
 def _register_external(tables: TomlTable) -> None:
     """Make the programs known whose results a study has, before its methods are checked."""
     names = tables.get("study", {}).get("external", ())
-    if not isinstance(names, tuple):
-        return  # refused with the other values
     try:
-        register_external([name for name in names if isinstance(name, str)])
+        if isinstance(names, tuple):  # else refused with the other values
+            register_external(name for name in names if isinstance(name, str))
     except InputError as error:
         raise InputError(f"[study] external: {error}") from None
 
@@ -205,29 +183,15 @@ def _check_tuning_points(study: Study) -> None:
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
-    corners = {
-        f"[tune.variables] {text}": point for text, point in search_space.corner_points(study)
-    }
+    corners = search_space.corner_points(study)
     for place, point in corners.items():
         build_point(place, point)
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)
 
 
-def _check_methods_usable(data: Any, key: str = "") -> None:
-    """Refuse a word under a key ``method`` that names a method that cannot be used."""
-    if isinstance(data, Mapping):
-        for name, value in data.items():
-            _check_methods_usable(value, name)
-    elif isinstance(data, tuple):
-        for value in data:
-            _check_methods_usable(value, key)
-    elif key == "method" and isinstance(data, str) and data in BROKEN.keys() - METHODS.keys():
-        raise InputError(f"[alignment] method: {data!r} cannot be used: {BROKEN[data]}")
-
-
 def _check_tables(data: TomlTable) -> None:
     """Refuse unknown sections and keys, and those that a recorded study cannot have."""
-    names, recorded = (*SECTIONS, *_SWEEP_TABLES), "record" in data
+    names, recorded = (*SECTIONS, "axes", "cases", "drawn"), "record" in data
     errors = ErrorCollector()
     for name, table in data.items():
         if name == "advise":
@@ -235,33 +199,29 @@ def _check_tables(data: TomlTable) -> None:
         elif name in SECTION_OF and name not in SECTIONS:
             errors.add(f"{name}: a key of [{SECTION_OF[name]}] (move it there)")
         elif name not in names:
-            hint = suggest_closest(name, names, "[{}]") or " (is its method not installed?)"
+            reason = "; ".join(BROKEN.values()) or "is its method not installed?"
+            hint = suggest_closest(name, names, "[{}]") or f" ({reason})"
             errors.add(f"[{name}]: unknown section{hint}")
-        elif name != "cases" and not isinstance(table, Mapping):
+        elif name == "cases":
+            continue
+        elif not isinstance(table, Mapping):
             errors.add(f"[{name}]: must be a table of keys")
         elif recorded and name in SIMULATED_ONLY:
             errors.add(f"[{name}]: does not apply to a recorded study (drop it or [record])")
-        elif name != "cases":
+        else:
             for key, value in table.items():
-                if name in SECTIONS and key not in SECTIONS[name].model_fields:
-                    errors.add(f"[{name}] {key}: {_unknown_key_text(key, name)}")
+                if value == files.OPEN:
+                    way = f"answer it, see its comment, or give --set {name}.{key}=VALUE"
+                    errors.add(f"[{name}] {key}: an open question ({way})")
+                elif name in SECTIONS and key not in SECTIONS[name].model_fields:
+                    text = unknown_key_error(key, SECTIONS[name].model_fields)
+                    errors.add(f"[{name}] {key}: {text}")
                 elif value is None:
                     errors.add(f"[{name}] {key}: None is not a value (leave the key out)")
                 elif recorded and name in SECTIONS and KEYS[name, key].info.in_simulation:
                     reason = "does not apply to a recorded study (drop it: one draw per start time)"
                     errors.add(f"[{name}] {key}: {reason}")
     errors.raise_all()
-
-
-def _unknown_key_text(key: str, section: str) -> str:
-    """Return the error text of a key in the wrong section, or unknown."""
-    if key in SECTION_OF:
-        return f"unknown key (it belongs in [{SECTION_OF[key]}])"
-    text = unknown_key_error(key, SECTIONS[section].model_fields)
-    similar = difflib.get_close_matches(str(key), list(SECTION_OF), n=1)
-    if text == "unknown key" and similar:
-        return f"{text} (did you mean {similar[0]} in [{SECTION_OF[similar[0]]}]?)"
-    return text
 
 
 def _format_error(error: ErrorDetails) -> str:
@@ -272,4 +232,5 @@ def _format_error(error: ErrorDetails) -> str:
     if error["type"] == "missing" and len(error["loc"]) == 2:
         hint = f" ({key_summary(section, str(key))})"
     text = explain_error(error, f"{section}.{key}")
-    return f"[{section}] {key}{format_list_index(error)}: {text}{hint}"
+    index = "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
+    return f"[{section}] {key}{index}: {text}{hint}"

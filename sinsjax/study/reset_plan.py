@@ -49,20 +49,16 @@ class ResetPlan(NamedTuple):
         velocity = float(f"{self.problem.velocity:.9g}")
         return {"reset_times_s": [*self.times_s], "reset_velocity_m_per_s": velocity}
 
-    @property
-    def facts(self) -> dict[str, str]:
-        """The plan in words, by heading."""
+    def __repr__(self) -> str:
+        """Return the plan in lines."""
         velocity = self.settings["reset_velocity_m_per_s"]
-        return {
+        facts = {
             "resets": f"{', '.join(f'{time:g}' for time in self.times_s)} s",
             "set": f'schedule = "law", or these times with reset_velocity_m_per_s = {velocity:.4g}',
             "settles": f"within {self.band_arcmin:g}' from {self.heading_bound_deg:g} deg:"
             f" {self.settling_s:,.0f} s, two sigma of white noise",
         }
-
-    def __repr__(self) -> str:
-        """Return the plan in lines."""
-        return display.format_text("Reset schedule by the law", self.facts)
+        return display.format_text("Reset schedule by the law", facts)
 
 
 def reset_schedule(study: Study | str, **bounds: float) -> ResetPlan:
@@ -80,38 +76,18 @@ def reset_schedule(study: Study | str, **bounds: float) -> ResetPlan:
         >>> plan.times_s
         (2.0, 4.0, 6.0, 118.0)
     """
-    plans = list(iter_plans(load_study(study), **bounds))
+    study = load_study(study)
+    plans = [_plan_resets(study, point) for _, point in iter_filters(study, **bounds)]
     if len(plans) != 1:
         text = f"{len(plans)} filters or places (use sinsjax schedule, or replace their keys)"
-        raise InputError(f"{load_study(study).name}: has {text}")
-    return plans[0][1]
-
-
-def iter_plans(study: Study, **bounds: float) -> Iterator[tuple[dict[str, Any], ResetPlan]]:
-    """Yield what distinguishes each filter and place of a study, and its plan.
-
-    Raises:
-        InputError: no method of the study has the law, or it has no schedule for one of them.
-    """
-    for varying, point in iter_filters(study, **bounds):
-        try:
-            found = schedule_by_law(study.rate_hz or 100.0, point)
-        except InputError as error:
-            raise error.with_source(study.name) from None
-        assert found is not None
-        problem = reset_problem(study.rate_hz or 100.0, point)
-        bound, band = point["heading_bound_deg"], point["settle_band_arcmin"]
-        yield varying, ResetPlan(problem, bound, band, found.times_s, found.settling_s)
+        raise InputError(f"{study.name}: has {text}")
+    return plans[0]
 
 
 def iter_filters(
     study: Study, **bounds: float
 ) -> Iterator[tuple[dict[str, Any], Mapping[str, Any]]]:
-    """Yield what distinguishes each filter and place of a study, and its values of `LAW_KEYS`.
-
-    Raises:
-        InputError: no method of the study has the law.
-    """
+    """Yield what distinguishes each filter and place of a study, and its values of `LAW_KEYS`."""
     keys = [key for key in LAW_KEYS if study.is_readable(key) and key not in (*bounds, "schedule")]
     points = [p for p in study.given_combinations(*keys) if p["method"] in LAW_METHODS]
     if not points:
@@ -125,18 +101,23 @@ def iter_filters(
         yield {key: point[key] for key in varying}, absent | point | bounds
 
 
-def describe_plans(study: Study) -> list[str]:
-    """Return the plans of a study for a terminal, of several filters or places a line each.
+def _plan_resets(study: Study, point: Mapping[str, Any]) -> ResetPlan:
+    """Return the plan of a filter and place."""
+    rate_hz = study.rate_hz or 100.0
+    try:
+        found = schedule_by_law(rate_hz, point)
+    except InputError as error:
+        raise error.with_source(study.name) from None
+    assert found is not None
+    bounds = point["heading_bound_deg"], point["settle_band_arcmin"]
+    return ResetPlan(reset_problem(rate_hz, point), *bounds, found.times_s, found.settling_s)
 
-    Raises:
-        InputError: see `iter_plans`.
-    """
-    plans = list(iter_plans(study))
-    if len(plans) == 1:
-        facts = plans[0][1].facts
-        return [f"{study.name}:", *(f"  {name:<7}  {text}" for name, text in facts.items())]
-    lines = [f"{study.name}: {len(plans)} filters or places; resets, and settling by the law:"]
-    for point, plan in plans:
-        name = ", ".join(f"{key} {format_toml(value)}" for key, value in point.items())
-        lines.append(f"  {name}: {plan.facts['resets']}; {plan.settling_s:,.0f} s")
+
+def describe_plans(study: Study) -> list[str]:
+    """Return the plans of a study for a terminal, of each filter and place."""
+    lines = [f"{study.name}:"]
+    for varying, point in iter_filters(study):
+        if varying:
+            lines.append(", ".join(f"{key} {format_toml(value)}" for key, value in varying.items()))
+        lines += repr(_plan_resets(study, point)).splitlines()[1:]
     return lines

@@ -65,12 +65,8 @@ DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `DERIVED` at a point of a study.
 
-    Args:
-        rate_hz: samples per second.
-        point: values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply.
-
-    Raises:
-        InputError: the law has no schedule there; the line begins ``[section] key``.
+    The point has the values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply. If the
+    law has no schedule there, an `InputError` begins ``[section] key``.
     """
     given, schedule = {key: point[key] for key in DERIVED}, point["schedule"]
     if schedule not in ("none", "law", "trigger"):
@@ -89,11 +85,7 @@ def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def schedule_by_law(rate_hz: float, point: Mapping[str, Any]) -> ResetSchedule | None:
-    """Return the schedule of a point by the law; None for a method without resets.
-
-    Raises:
-        InputError: see `derive_schedule`.
-    """
+    """Return the schedule of a point by the law; None for a method without resets."""
     if "resets" not in METHODS[point["method"]].sections:
         return None
     if point["method"] not in LAW_METHODS:
@@ -116,13 +108,7 @@ _cached_schedule: Callable[..., ResetSchedule] = lru_cache(maxsize=4096)(reset_l
 
 
 def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any]) -> float:
-    """Return the sigma of heading that the sensors' white noise leaves after a time, rad.
-
-    Args:
-        rate_hz: samples per second.
-        time_s: length of the data, s.
-        point: values of `NOISE_KEYS`.
-    """
+    """Return the sigma of heading that the sensors' white noise leaves after a time, rad."""
     place = _read_place(point)
     accel = (ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2
     gyro = (GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2
@@ -130,11 +116,7 @@ def noise_heading_sigma(rate_hz: float, time_s: float, point: Mapping[str, Any])
 
 
 def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
-    """Return the filter of a point and its place, as the law sees them.
-
-    Raises:
-        InputError: a key that it needs is drawn or missing; the line begins ``[section] key``.
-    """
+    """Return the filter of a point and its place, as the law sees them."""
     for key, section in _ONE_VALUE.items():
         if point[key] is None:
             raise InputError(f"[resets] schedule: 'law' needs one {key} (give it in [{section}])")

@@ -1,11 +1,8 @@
 """The rules between the keys of a study, checked before anything runs; the end lists them.
 
-A rule is a function that refuses a study with ``[section] key: what is wrong (way on)``.
-Rules hold for every variant, and are checked over the distinct combinations of the values of their
-keys: a sweep of a million variants costs no more than its axes.
-
-The usual ranges of numbers are part of their keys, see `value_types.KeyInfo`, and generous: a value
-outside is most likely a mistake or in another unit. ``[study] unchecked = true`` accepts it.
+A rule is a function that refuses a study with ``[section] key: what is wrong (way on)``, over the
+distinct combinations of the values of its keys: a sweep of a million variants costs no more than
+its axes. Usual ranges of numbers are part of their keys, see `value_types.KeyInfo`.
 """
 
 import math
@@ -40,25 +37,18 @@ from sinsjax.study.keys import (
     key_summary,
     leaf_info,
 )
-from sinsjax.study.schema import NUMBERS_DRAWN, Distribution
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
 from sinsjax.study.turns import check_turns
-from sinsjax.study.unused_keys import describe_idle
 from sinsjax.study.variants import Variants
 from sinsjax.value_types import ROUNDING, KeyInfo
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
 _CHECKED_DRAWS = 2**19  # which bounds the memory
-_MAX_SIGMAS = 8.3  # the furthest of 2^52 points of a normal law
 
 
 def check_rules(study: Study) -> None:
-    """Refuse a study that breaks rules, with a line for each of the first stage with any.
-
-    Args:
-        study: sections, axes and cases, each value checked.
-    """
+    """Refuse a study that breaks rules, with a line for each of the first stage with any."""
     for always, timed in ((_PRESENCE, _LENGTHS), (_VALUES, _TIMES)):
         has_rate = bool(study.study.rate_hz)  # a record gives it later
         _check_all([partial(rule, study) for rule in (*always, *(timed if has_rate else ()))])
@@ -112,23 +102,17 @@ def _check_trigger(study: Study) -> None:
             study.refuse(key, "requires a reset_trigger (give one, or drop this)")
 
 
-def _check_filter_noise(study: Study) -> None:
-    """Refuse a study that does not determine Q and R of its filters."""
-    if study.has("filter"):
-        _check_all([partial(rule, study) for rule in NOISE_RULES])
-
-
 def _check_idle_keys(study: Study) -> None:
     """Refuse keys that have no effect with the values of keys that exclude them."""
     found = dict[str, str]()
     sections = [section for name, section in SECTIONS.items() if study.has(name)]
     for section, condition in ((s, c) for s in sections for c in s.conditions if c.refused):
-        points = list(study.combinations(*condition.given))
-        if not condition.acts_at(points):
+        if not condition.acts_at(study.combinations(*condition.given)):
             for key in condition.keys:
                 default = section.model_fields[key].default
                 if any(point[key] != default for point in study.combinations(key)):
-                    found[key] = f"has no effect {describe_idle(condition, points)} (drop one)"
+                    values = ", ".join(condition.given)
+                    found[key] = f"has no effect with the value of {values} (drop one)"
     _refuse_all(study, found)
 
 
@@ -187,12 +171,12 @@ def _check_coarse_method(study: Study) -> None:
 
 
 def _check_reset_law(study: Study) -> None:
-    """Refuse resets that the law cannot schedule, and policies that look the same."""
+    """Refuse resets that the law cannot schedule, and schedules that look the same."""
     if study.names_schedules:
         list(study.combinations(*SCHEDULE_KEYS))
         if any(len(set(points)) < len(points) for points in study.axes_shown.values()):
-            text = "a name is there twice, and its times differ from run to run"
-            study.refuse("schedule", f"{text} (list it in [[cases]], with a case each)")
+            text = "a name is there twice (list its variants in [[cases]], with a case each)"
+            study.refuse("schedule", text)
 
 
 def _check_coarse_times(study: Study) -> None:
@@ -242,10 +226,7 @@ def _check_multiple(study: Study, key: str, time: float, what: str, least: int =
 
 
 def _check_statistics_window(study: Study) -> None:
-    """Refuse a window in which no run has the two record times of a standard deviation.
-
-    Some of the runs may end before the window.
-    """
+    """Refuse a window in which no run has the two record times of a standard deviation."""
     (start, end), record_every, rate = study.study.window_s, study.record_every, study.rate_hz
     longest = max(span.records for span in study.distinct_spans)
     last = min(longest, int(end * rate / record_every) + 1)
@@ -295,8 +276,10 @@ def _check_stop_when(study: Study) -> None:
 def _check_rules_of_methods(study: Study) -> None:
     """Apply the rules of the study's methods."""
     variants = Variants.all_of(study)
-    rules = dict.fromkeys(rule for name in study.methods for rule in METHODS[name].all_rules)
-    _check_all([partial(rule, variants) for rule in rules])
+    methods = [METHODS[name] for name in dict.fromkeys(study.methods)]
+    rules = dict.fromkeys(rule for method in methods for rule in method.rules)
+    checks = [method.check_data for method in methods if not method.is_external]
+    _check_all([partial(rule, variants) for rule in (*checks, *rules)])
 
 
 def _check_times_within_runs(study: Study) -> None:
@@ -354,38 +337,25 @@ def _describe_unusual(info: KeyInfo, value: Any) -> str | None:
 
 def _check_drawn_values(study: Study) -> None:
     """Refuse draws that their key does not accept, and lists longer than the draws."""
-    laws = study.drawn.laws if study.drawn else {}
-    points = math.prod(len(law.grid) for law in laws.values() if law.grid)
+    laws, found = study.drawn.laws if study.drawn else {}, dict[str, str]()
     for key, law in laws.items():
-        name, needed = ("grid", points) if law.grid else ("values", len(law.values or ()))
-        if needed > study.n_draws:
+        if len(law.values or ()) > study.n_draws:
             draws = "start times" if study.is_recorded else "draws"
-            text = f"{needed} points are more than {study.n_draws} {draws}"
-            raise InputError(f"[drawn] {key}.{name}: {text} (drop some, or draw more)")
+            text = f"{len(law.values or ())} are more than {study.n_draws} {draws}"
+            raise InputError(f"[drawn] {key}.values: {text} (drop some, or draw more)")
 
-    def error(key: str, value: float) -> str | None:
-        unusual = None if study.study.unchecked else _describe_unusual(leaf_info(key), value)
-        return value_error(value, key) or (unusual and unusual.removeprefix(": "))
+        def problem_of(value: float, key: str = key) -> str | None:
+            usual = None if study.study.unchecked else _describe_unusual(leaf_info(key), value)
+            return value_error(value, key) or (usual and usual.removeprefix(": "))
 
-    doubtful = [key for key, law in laws.items() if any(error(key, v) for v in _law_limits(law))]
-    count = min(study.n_draws, _CHECKED_DRAWS)
-    drawn, found = sampling.drawn_values(study, count) if doubtful else {}, dict[str, str]()
-    for key in doubtful:
-        for place in map(int, (drawn[key].argmin(), drawn[key].argmax())):
-            value = float(drawn[key].flat[place])
-            if problem := error(key, value):
-                draw = place // NUMBERS_DRAWN[key]
-                found.setdefault(key, f"draw {draw} gives {value!r}: {problem}")
+        limits = law.limits
+        if law.normal and any(map(problem_of, limits)):
+            drawn = sampling.drawn_values(study, min(study.n_draws, _CHECKED_DRAWS))[key]
+            limits = float(drawn.min()), float(drawn.max())
+        for value in limits:
+            if problem := problem_of(value):
+                found.setdefault(key, f"may be drawn as {value!r}: {problem}")
     _refuse_all(study, found)
-
-
-def _law_limits(law: Distribution) -> tuple[float, ...]:
-    """Return the limits of the values of a law."""
-    if law.normal:
-        mean, deviation = law.normal
-        return mean - _MAX_SIGMAS * deviation, mean + _MAX_SIGMAS * deviation
-    numbers = [n for entry in law.uniform or law.values or law.grid or () for n in np.ravel(entry)]
-    return float(min(numbers)), float(max(numbers))
 
 
 def _check_tune_section(study: Study) -> None:
@@ -420,7 +390,7 @@ def _check_tune_section(study: Study) -> None:
 _PRESENCE = (
     _check_required_keys,
     _check_idle_keys,
-    _check_filter_noise,
+    *NOISE_RULES,
     _check_trigger,
     refuse_drawn_motion,
 )

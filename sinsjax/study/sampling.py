@@ -1,10 +1,9 @@
-"""The values of drawn keys per draw, independent of the number of draws and of their blocks.
+"""The values of drawn keys per draw, functions of the seed, of [drawn] and of the draw's number.
 
-Every value is a function of the study's seed, of [drawn] and of the number of the draw. With random
-sampling each key has a separate stream; Sobol points have one dimension per number of all keys.
+With random sampling each key has a separate stream; Sobol points have one dimension per number of
+all keys.
 """
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -20,14 +19,8 @@ _RANDOM_BITS = 52  # the middle of an interval of 2^-52 is still a double
 def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.ndarray]:
     """Return the values of all drawn keys in the draws ``first`` to ``first + count - 1``.
 
-    Args:
-        study: checked study.
-        count: number of draws.
-        first: number of the first draw.
-
-    Returns:
-        Values by key, in the order and in the units of the file: (count,), or (count, 3 or 6) for a
-        key with one number per axis. Empty if nothing is drawn.
+    By key, in the order and in the units of the file: (count,), or (count, 3 or 6) for a key with
+    one number per axis.
     """
     if study.drawn is None:
         return {}
@@ -41,10 +34,7 @@ def drawn_values(study: Study, count: int, *, first: int = 0) -> dict[str, np.nd
 
 
 def truncate_drawn_table(drawn: DrawnSection, count: int) -> dict[str, Any]:
-    """Return the table [drawn] of a study with fewer draws, with the same values in each of them.
-
-    Lists and grids have the entries that are drawn.
-    """
+    """Return [drawn] of a study with fewer draws, with the same values in each of them."""
     table = drawn.model_dump(exclude_none=True)
     for key, rows in _listed_values(drawn.laws, np.arange(count)).items():
         table[key] = {"values": (rows if NUMBERS_DRAWN[key] > 1 else rows[:, 0]).tolist()}
@@ -94,18 +84,12 @@ def _apply_distribution(law: Distribution, points: np.ndarray) -> np.ndarray:
 
 
 def _listed_values(laws: dict[str, Distribution], draws: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the entries of lists and grids in some draws, (draws, numbers) by key."""
-    grids = {key: len(law.grid) for key, law in laws.items() if law.grid}
-    fastest = math.prod(grids.values())
+    """Return the entries of lists in some draws, (draws, numbers) by key."""
     rows_by_key = {}
     for key, law in laws.items():
-        if not (entries := law.values or law.grid):
-            continue
-        numbers = NUMBERS_DRAWN[key]
-        rows = np.stack([np.broadcast_to(np.asarray(v, float), numbers) for v in entries])
-        steps = 1
-        if law.grid:
-            fastest //= len(rows)
-            steps = fastest
-        rows_by_key[key] = rows[draws // steps % len(rows)]
+        if law.values:
+            numbers = (
+                np.broadcast_to(np.asarray(v, float), NUMBERS_DRAWN[key]) for v in law.values
+            )
+            rows_by_key[key] = np.stack(list(numbers))[draws % len(law.values)]
     return rows_by_key

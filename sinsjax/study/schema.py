@@ -1,8 +1,7 @@
 """The sections of a study file: one frozen model per section, one field per key.
 
-Values stay in the units of the file, which the names of keys state. Leaf keys are unique over all
-sections, so a key alone names an axis and a result column. Rules within one section are here, rules
-between sections in `rules`. The methods have sections of their own, see `methods.registry`.
+Values stay in the units of the file. Leaf keys are unique over all sections, so a key alone names
+an axis and a result column. Rules within one section are here, those between sections in `rules`.
 """
 
 from functools import cache
@@ -34,14 +33,10 @@ class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
     name: vt.Name = field("name in reports and manifests", ..., otherwise="the file's stem")
-    duration_s: vt.Seconds = field(
-        "length of each run. Includes passes and coarse alignment, unless that hands over a record",
-        ...,
-    )
+    duration_s: vt.Seconds = field("length of each run, with passes and a stage of [coarse]", ...)
     # None only in a recorded study before its record is read, see `load.with_rate`.
     rate_hz: vt.Positive = field(
-        "sensor sample rate. Required in a simulation and without time stamps; must match a"
-        " record's rate",
+        "sensor sample rate. Required unless a record has time stamps, which it must match",
         cast(float, None),
         usual_range=(1e-3, 1e6),
     )
@@ -74,16 +69,14 @@ class StudySection(Section):
     )
     curves: bool = field("whether a sweep stores errors at record times in `curves/`", False)
     judged_from: Literal["truth", "floor"] | None = field(
-        "reference for success. 'truth': true north, or the record's reference. 'floor': the bias"
-        " floor",
+        "reference for success: 'truth' (true north, or that of a record) or 'floor'",
         otherwise="'truth'",
     )
     success_band_arcmin: vt.Band | None = field(
         "largest final heading error of a successful run", otherwise=10.0
     )
     level_band_arcmin: vt.Band | None = field(
-        "largest final level error of a successful run, from truth plus the tilt due to"
-        " accelerometer biases",
+        "largest final level error of a successful run, without that of accelerometer biases",
         otherwise=10.0,
     )
     dwell_s: vt.SecondsOrZero | None = field(
@@ -179,6 +172,12 @@ def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
     return bool(turn_times_s or attitude_file) or _any_nonzero(*amplitudes)
 
 
+def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
+    """Return the field of a disturbance or an error, with the largest usual size of MEMS."""
+    least = -largest if acts_as in ("bias", "distortion") else 0
+    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
+
+
 class MotionSection(Section):
     """[motion]: simulated motion; angles are center + amplitude sin(2 pi t / period + phase).
 
@@ -242,8 +241,7 @@ class MotionSection(Section):
         time="s",
     )
     turn_angles_deg: vt.Numbers | None = field(
-        "turn angles, positive counter-clockwise from above: one for all or per turn. An"
-        " unfinished turn continues to the end: 1e6 for a carousel",
+        "turn angles, positive counter-clockwise from above, one or per turn; 1e6 for a carousel",
         otherwise=180.0,
         usual_range=(-1e8, 1e8),
     )
@@ -257,21 +255,16 @@ class MotionSection(Section):
         "interval at which turns repeat until the end", otherwise="no repetition"
     )
     turn_axis: Literal["vertical", "body"] | None = field(
-        "'vertical': the vehicle turns, with its pitch and roll axes. 'body': a turntable on the"
-        " swaying vehicle turns the sensors about z",
+        "'vertical': the vehicle turns. 'body': a turntable on it turns the sensors about z",
         otherwise="'vertical'",
     )
     attitude_file: vt.Name | None = field(
-        "text or Parquet file instead of angles and turns, with time_s, pitch_deg, roll_deg and"
-        " yaw_deg (or heading_deg), interpolated by cubic splines; smooth noisy data first. Cannot"
-        " be swept",
+        "file instead of angles and turns: time_s, pitch_deg, roll_deg and yaw_deg or heading_deg,"
+        " without noise, for cubic splines. Cannot be swept",
         otherwise="none",
     )
-    surge_m_per_s: vt.NoisePerAxis = field(
-        "rms velocity of surge, random motion about a fixed place, along east, north, up",
-        0.0,
-        usual_range=(0, 10),
-        acts_as="process",
+    surge_m_per_s: vt.NoisePerAxis = _error(
+        "process", 10.0, "rms velocity of surge, random motion about a place, along east, north, up"
     )
     surge_time_s: vt.Period = field(
         "correlation time of the surge velocity", 5.0, acts_as="process_shape"
@@ -286,18 +279,11 @@ class MotionSection(Section):
         " first-order Gauss-Markov velocity; acceleration grows with sample rate",
         "third_order",
     )
-    vibration_ug_rms: vt.NoisePerAxis = field(
-        "linear vibration of the sensors' housing along right, front, up",
-        0.0,
-        usual_range=(0, 1e7),
-        acts_as="process",
+    vibration_ug_rms: vt.NoisePerAxis = _error(
+        "process", 1e7, "linear vibration of the sensors' housing along right, front, up"
     )
-    vibration_deg_per_h_rms: vt.NoisePerAxis = field(
-        "angular vibration of the sensors' housing about right, front, up. The true attitude is"
-        " that of the housing",
-        0.0,
-        usual_range=(0, 1e6),
-        acts_as="process",
+    vibration_deg_per_h_rms: vt.NoisePerAxis = _error(
+        "process", 1e6, "angular vibration of the sensors' housing, whose attitude is the truth"
     )
     vibration_hz: vt.Bandwidth = field(
         "undamped natural frequency of vibration", 30.0, acts_as="process_shape"
@@ -318,12 +304,6 @@ _CROSS_AXIS = (
     "axis misalignments xy, xz, yx, yz, zx, zy: xy is the fraction of the y input that sensor x"
     " senses"
 )
-
-
-def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
-    """Return the field of a sensor error with its largest usual size, that of the worst MEMS."""
-    least = -largest if acts_as in ("bias", "distortion") else 0
-    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
 
 
 class SensorsSection(Section):
@@ -366,35 +346,25 @@ class SensorsSection(Section):
     accel_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
 
 
-_TEXT_KEYS = ("columns", "skip_rows")
-_COLUMN_KEYS = (
-    *("quantity", "gyro_columns", "accel_columns", "gyro_unit", "accel_unit", "gyro_scale"),
-    *("accel_scale", "time_column", "time_unit", "time_scale", "time_fraction_column"),
-    *("time_fraction_unit", "max_gap_s", *_TEXT_KEYS),
-)
-_FIXED_KEYS = {
-    "psins": _COLUMN_KEYS,
-    "arrays": (*_COLUMN_KEYS, "axes_order", "mounting_deg"),
-    "parquet": _TEXT_KEYS,
-}
-"""Keys of [record] that do not apply to some formats."""
+_ALWAYS = ("format", "from_s", "to_s", "start_s", "gyro_bias_deg_per_h", "accel_bias_ug", "trust")
+_APPLYING_KEYS = {"psins": {*_ALWAYS, "axes_order", "mounting_deg"}, "arrays": {*_ALWAYS}}
+"""Keys of [record] that apply to formats that fix columns and units."""
+
+_USED_PART = "start and end of the used part, from the record's beginning"
+_SCALE = "multiplier for all columns, or per column: one count in the unit, or -1"
+_ACCEPTED = "largest bias that the check accepts"
 
 
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
     format: Literal["psins", "csv", "parquet", "arrays"] = field(
-        "format of the record. 'csv': text with a header line. 'parquet': Apache Parquet. 'psins':"
-        " PSINS text. 'arrays': Python arrays. The last two fix columns and units, 'arrays' also"
-        " axes",
+        "'csv': text with a header line. 'parquet': Apache Parquet. 'psins': PSINS text. 'arrays':"
+        " Python arrays. The last two fix columns and units, 'arrays' also axes",
         ...,
     )
-    from_s: vt.SecondsOrZero | None = field(
-        "start and end of the used part, from the record's beginning", otherwise="its beginning"
-    )
-    to_s: vt.Seconds | None = field(
-        "start and end of the used part, from the record's beginning", otherwise="its end"
-    )
+    from_s: vt.SecondsOrZero | None = field(_USED_PART, otherwise="its beginning")
+    to_s: vt.Seconds | None = field(_USED_PART, otherwise="its end")
     columns: vt.Columns | None = field(
         "column names of a text file without them",
         otherwise="those in the file, or column_1, column_2, ...",
@@ -426,24 +396,14 @@ class RecordSection(Section):
     accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
         "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: vt.Vector | None = field(
-        "multiplier for all columns, or per column: one count in the unit, or -1",
-        otherwise="1",
-        usual_range=(-1e6, 1e6),
-    )
-    accel_scale: vt.Vector | None = field(
-        "multiplier for all columns, or per column: one count in the unit, or -1",
-        otherwise="1",
-        usual_range=(-1e6, 1e6),
-    )
+    gyro_scale: vt.Vector | None = field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
+    accel_scale: vt.Vector | None = field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
     axes_order: str = field(
-        "record axes that point right, front, up: 'y-xz' is +y right, -x front, +z up. Or"
-        " directions of its x, y, z axes: 'rfu', 'frd', 'flu'",
+        "record axes that point right, front, up: 'y-xz'; or directions of x, y, z: 'rfu', 'frd'",
         "xyz",
     )
     mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
-        "attitude of the IMU (after axes_order) in the vehicle: pitch, roll, counter-clockwise"
-        " yaw. Attitudes are then the vehicle's",
+        "pitch, roll, counter-clockwise yaw of the IMU (after axes_order) in the vehicle",
         otherwise="0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
@@ -460,11 +420,9 @@ class RecordSection(Section):
         "longest gap between good samples that is interpolated", otherwise="0"
     )
     gyro_bias_deg_per_h: vt.GyroNoise | None = field(
-        "largest bias that the check accepts", otherwise="10 or with low noise 4.5"
+        _ACCEPTED, otherwise="10 or with low noise 4.5"
     )
-    accel_bias_ug: vt.AccelNoise | None = field(
-        "largest bias that the check accepts", otherwise="5000"
-    )
+    accel_bias_ug: vt.AccelNoise | None = field(_ACCEPTED, otherwise="5000")
     trust: bool | None = field(
         "whether to align despite errors that the check finds", otherwise="false"
     )
@@ -477,8 +435,10 @@ class RecordSection(Section):
         if min(self.start_s) < begin:
             text = f"{min(self.start_s):g} s is before from_s = {begin:g} (start later)"
             raise rule_error(text, key="start_s")
-        for key in _FIXED_KEYS.get(self.format, ()):
-            if getattr(self, key) != type(self).model_fields[key].default:
+        fields = type(self).model_fields
+        applying = _APPLYING_KEYS.get(self.format, fields.keys() - {"columns", "skip_rows"})
+        for key in fields if self.format != "csv" else ():
+            if key not in applying and getattr(self, key) != fields[key].default:
                 raise rule_error(f"does not apply to format '{self.format}' (drop it)", key=key)
         for key in ("gyro_columns", "accel_columns", "gyro_unit", "accel_unit"):
             if names_columns and getattr(self, key) is None:
@@ -541,8 +501,6 @@ NUMBERS_DRAWN = {
 }
 """Keys that may be drawn, with the numbers per draw: one, or one per axis of a vector."""
 
-ListEntries = Annotated[tuple[Any, ...], Field(min_length=1)]
-
 
 class Distribution(Section):
     """Distribution of a drawn key; give exactly one of these keys.
@@ -552,9 +510,8 @@ class Distribution(Section):
 
     uniform: vt.IncreasingPair | None = field("[low, high]")
     normal: vt.Normal | None = field("[mean, standard deviation]")
-    values: ListEntries | None = field("one per draw, repeated from the first")
-    grid: ListEntries | None = field(
-        "grid values; the draws are the product of all grids, the last key fastest"
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = field(
+        "one per draw, repeated from the first"
     )
 
     @model_validator(mode="after")
@@ -574,9 +531,16 @@ class Distribution(Section):
         if self.uniform is not None:
             low, high = self.uniform
             return float(np.sqrt((low * low + low * high + high * high) / 3))
-        entries = self.values if self.values is not None else self.grid
-        assert entries is not None
-        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in entries])))
+        return float(np.sqrt(np.mean([np.max(np.square(entry)) for entry in self.values or ()])))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Limits of its numbers; of a normal law those of 2^52 draws."""
+        if self.normal is not None:
+            mean, deviation = self.normal
+            return mean - 8.3 * deviation, mean + 8.3 * deviation
+        numbers = [number for v in self.uniform or self.values or () for number in np.ravel(v)]
+        return float(min(numbers)), float(max(numbers))
 
 
 class DrawnSection(Section):
@@ -702,8 +666,7 @@ class TuneSection(Section):
         in_simulation=16,
     )
     evaluation_draws: Some | None = field(
-        "other draws, to compare the best points with the baseline; in a recorded study the other"
-        " start times",
+        "other draws, to compare the best points; in a recorded study the other start times",
         in_simulation=64,
     )
     grid_points: Annotated[vt.Count, Field(ge=2)] = field(
@@ -711,18 +674,14 @@ class TuneSection(Section):
     )
     sobol_points: Some = field("points of a 'sobol' search per combination of candidates", 256)
     descent_screen: Some = field(
-        "Sobol points evaluated before the descents, which start from the best; on `descent_draws`"
-        " draws",
-        16,
+        "Sobol points evaluated before the descents, which start from the best", 16
     )
     descent_starts: Some = field("parallel descents", 4)
     descent_steps: Some = field("steps of a descent", 16)
     descent_draws: Some = field("new draws per step", 4)
     descent_rate: vt.Positive = field("Adam learning rate, in lengths of the ranges", 0.1)
     relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
-        "half-widths of smooth reset windows at the first and last step; only if a variable moves"
-        " a reset",
-        (4.0, 1.0),
+        "half-widths of smooth reset windows at the first and last step", (4.0, 1.0)
     )
     relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
         "sharpness of the smooth heading band edge at the first and last step", (6.0, 16.0)

@@ -1,12 +1,11 @@
 """The variables of a tuning, and the points that they span.
 
-A *box point* has a position in [0, 1] for each free variable, in the order of the file; each entry
-of a list is a variable. Its *values* are in the units of the file. A *point* is the table of keys
-with these values and one combination of all candidates, for a copy of the study.
+A *box point* has a position in [0, 1] for each free variable, its *values* are in the units of the
+file, and a *point* is the table of keys with these values and one combination of all candidates.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, product
 from operator import attrgetter
@@ -23,21 +22,13 @@ MAX_GRID_VARIABLES = 2
 
 
 class Variable(NamedTuple):
-    """A number that is searched in an interval.
-
-    Attributes:
-        key: leaf key of the study.
-        entry: index in a list, from 0; None if the key is one number.
-        low: lowest value, in the unit of the key.
-        high: highest value.
-        log: whether the scale from low to high is logarithmic.
-    """
+    """A number that is searched from low to high, in the unit of its key."""
 
     key: str
-    entry: int | None
+    entry: int | None  # index in a list, from 0; None if the key is one number
     low: float
     high: float
-    log: bool
+    log: bool  # whether the scale from low to high is logarithmic
 
     @property
     def name(self) -> str:
@@ -59,19 +50,11 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """All points of a tuning.
-
-    Attributes:
-        ranges: ranges of [tune.variables], by key.
-        variables: free variables in the order of the file, the dimensions of the box.
-        combinations: candidates of all keys, the last key fastest, each with the fixed values.
-        rate_hz: sample rate of the study, Hz.
-        record_interval_s: record interval of the study, s.
-    """
+    """All points of a tuning."""
 
     ranges: Ranges
-    variables: tuple[Variable, ...]
-    combinations: tuple[TomlTable, ...]
+    variables: tuple[Variable, ...]  # in the order of the file, the dimensions of the box
+    combinations: tuple[TomlTable, ...]  # of all candidates, the last key fastest
     rate_hz: float
     record_interval_s: float
 
@@ -173,16 +156,17 @@ def _free_variables(ranges: Ranges) -> tuple[Variable, ...]:
     return tuple(variables)
 
 
-def corner_points(study: Study) -> Iterator[tuple[str, TomlTable]]:
-    """Yield the points with all ranges at their low or high end, each after its description."""
-    space = SearchSpace.from_study(study)
-    ends = {"at its low end": 0.0, "at its high end": 1.0}
+def corner_points(study: Study) -> dict[str, TomlTable]:
+    """Return the points with all ranges at their low or high end, each by its description."""
+    space, points = SearchSpace.from_study(study), dict[str, TomlTable]()
+    ends = {"with every range at its low end": 0.0, "with every range at its high end": 1.0}
     for combination in space.combinations:
-        if not space.variables:
-            yield "with these values", space.make_point([], combination)
-        for name, position in ends.items() if space.variables else ():
+        several = combination.items() if len(space.combinations) > 1 else ()
+        chosen = "".join(f", {key} = {value!r}" for key, value in several)
+        for name, position in (ends if space.variables else {"with these values": 0.0}).items():
             values = space.to_values([position] * len(space.variables))
-            yield f"with every range {name}", space.make_point(values, combination)
+            points[f"[tune.variables] {name}{chosen}"] = space.make_point(values, combination)
+    return points
 
 
 def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
@@ -209,15 +193,9 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
 def comparable_points(
     study: Study, baseline_study: Study, points: Mapping[str, TomlTable]
 ) -> dict[str, TomlTable]:
-    """Return points and the baseline with the same keys, as cases of one study.
+    """Return points and the baseline with the same keys, as cases of one study with [tune].
 
-    Args:
-        study: study with [tune].
-        baseline_study: study with the values of the baseline.
-        points: points of the tuning by name.
-
-    Raises:
-        InputError: the baseline lacks a key of the points, or the study one of the baseline.
+    An `InputError` says that the baseline lacks a key of the points, or the study one of it.
     """
     assert study.tune is not None
     keys = list(next(iter(points.values())))

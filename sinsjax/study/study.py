@@ -20,7 +20,6 @@ from sinsjax.methods.registry import SECTIONS_OF_METHODS
 from sinsjax.study import display
 from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.changes import copy_tables
-from sinsjax.study.defaults import without_defaults
 from sinsjax.study.keys import (
     COARSE_KEYS,
     PASS_KEYS,
@@ -57,13 +56,7 @@ COARSE_START = ("coarse_method", "coarse_then")
 
 
 class Span(NamedTuple):
-    """The length of a variant's runs, in record intervals.
-
-    Attributes:
-        records: record intervals of a run.
-        pass_records: record intervals of a pass over the stored record; the whole run if there is
-            only one pass.
-    """
+    """The length of a variant's runs, and of a pass over its stored record, in record intervals."""
 
     records: int
     pass_records: int
@@ -121,7 +114,7 @@ class Study(_SectionsOfMethods):
     """Function of tables, a name and changes, which `load` sets."""
 
     def replace(self, changes: Mapping[str, Any]) -> "Study":
-        """Return the study with some values changed, and new defaults where they depend on these.
+        """Return the study with some values changed, and the defaults that depend on these.
 
         Args:
             changes: values by ``section.key``, such as ``{"alignment.phi_u0_deg": 12.0}``; each
@@ -139,7 +132,7 @@ class Study(_SectionsOfMethods):
         return type(self).from_tables(self.to_dict(), self.name, changes)
 
     def to_dict(self) -> TomlTable:
-        """Return the study as nested tables, as in its TOML file, without keys at their defaults.
+        """Return the study as nested tables, as in its TOML file: the keys that it gives.
 
         `study_from_dict` makes an equal study of them.
 
@@ -150,8 +143,8 @@ class Study(_SectionsOfMethods):
             >>> sinsjax.study_from_dict(study.to_dict()) == study
             True
         """
-        tables = without_defaults(study_to_tables(self), self.values_varied)
-        return {name: copy_tables(table) for name, table in tables.items() if table}
+        tables: TomlTable = copy_tables(study_to_tables(self, exclude_unset=True))
+        return tables
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method and length."""
@@ -169,7 +162,7 @@ class Study(_SectionsOfMethods):
         variants = format_count(self.n_variants, "variant")
         draws = format_count(self.n_draws, "start time" if self.is_recorded else "draw")
         runs = f"{variants} x {draws} = {format_count(self.n_draws * self.n_variants, 'run')}"
-        axes = (display.describe_axis(keys, values) for keys, values in self.axes_shown.items())
+        axes = (f"{', '.join(keys)} ({len(values)})" for keys, values in self.axes_shown.items())
         rate = f"{self.rate_hz:g} Hz" if self.rate_hz else "the rate of its record"
         several = len(self.methods) > 1
         return {
@@ -281,10 +274,7 @@ class Study(_SectionsOfMethods):
 
     @property
     def counts_before(self) -> bool:
-        """Whether data before t = 0 of some runs count, since other runs start at the first sample.
-
-        If no run does, data count from t = 0.
-        """
+        """Whether data before t = 0 count, as other runs start at the first sample of data."""
         return self.is_recorded and bool(self.coarse_stages)
 
     @property
@@ -293,10 +283,7 @@ class Study(_SectionsOfMethods):
         return self.study.report_times_s or ()
 
     def has_coarse_stage(self, coarse_method: str, coarse_then: str | None) -> bool:
-        """Return whether coarse alignment is a stage of runs with these values.
-
-        Coarse alignment that hands over a record precedes the runs.
-        """
+        """Return whether coarse alignment is a stage of runs; handing over, it precedes them."""
         return coarse_method != "none" and (not self.is_recorded or coarse_then == "replay")
 
     @property
@@ -348,9 +335,8 @@ class Study(_SectionsOfMethods):
     def axes_shown(self) -> dict[tuple[str, ...], tuple[Any, ...]]:
         """The axes for a reader: the values of each axis by the keys that identify its points.
 
-        Keys that vary together, in cases or in axes, are one axis. It is identified by the label or
-        its first key if no two points share that value, otherwise by all its keys, with tuples as
-        values.
+        Keys that vary together are one axis. It is identified by the label or its first key if no
+        two points share that value, otherwise by all its keys, with tuples as values.
         """
         axes: dict[tuple[str, ...], tuple[Any, ...]] = {}
         for dimension in self.dimensions:
@@ -388,12 +374,8 @@ class Study(_SectionsOfMethods):
     def end(self) -> str:
         """The end of the study and of its shortest run, in words."""
         text = f"duration_s = {self.duration_s:.12g}"
-        whole_s = self.duration_s - self.dropped_s
-        if self.dropped_s:
-            text += f"; the last partial record interval, after {whole_s:.12g} s, is not run"
-        if self.run_s < whole_s * (1 - ROUNDING):
-            text += f"; the shortest run ends at {self.run_s:.12g} s"
-        return text
+        is_shorter = self.run_s < self.duration_s * (1 - ROUNDING)
+        return f"{text}; the shortest run ends at {self.run_s:.12g} s" if is_shorter else text
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
@@ -403,8 +385,7 @@ class Study(_SectionsOfMethods):
     def duplicate_of(self) -> np.ndarray:
         """The first variant with the same values of all effective keys, per variant; (variants,).
 
-        Such variants have the same runs: with ``reset_count = 0`` the cycle has no effect. The
-        label of a case is ignored.
+        Such variants have the same runs. The label of a case is ignored.
         """
         codes = np.zeros(self.n_variants, np.int64)
         for key in self.axis_keys:
@@ -432,8 +413,7 @@ class Study(_SectionsOfMethods):
         """Return the values of each axis key, one per variant.
 
         Examples:
-            >>> study = sinsjax.load_study("paper1_resets")
-            >>> study.variant_values()["phi_u0_deg"]
+            >>> sinsjax.load_study("paper1_resets").variant_values()["phi_u0_deg"]
             [0.0, 30.0, 30.0]
         """
         return {key: self.values(key) for key in self.axis_keys}
@@ -441,11 +421,7 @@ class Study(_SectionsOfMethods):
     def values(self, key: str) -> list[Any]:
         """Return the values of a sweepable leaf key, one per variant, in the units of the file.
 
-        Args:
-            key: leaf key of a section in `SWEEPABLE`; the values of a drawn key are None.
-
-        Raises:
-            KeyError: no sweepable section of this study has the key.
+        The values of a drawn key are None.
 
         Examples:
             >>> sinsjax.load_study("paper1_resets").values("latitude_deg")
@@ -454,11 +430,7 @@ class Study(_SectionsOfMethods):
         return self.coded(key).to_list()
 
     def coded(self, *keys: str) -> CodedColumn:
-        """Return the column of a sweepable key, or of combinations of several keys, as tuples.
-
-        Raises:
-            KeyError: no sweepable section of this study has the key.
-        """
+        """Return the column of a sweepable key, or of combinations of several keys, as tuples."""
         points = self._points(keys)
         return points.map(itemgetter(0)) if len(keys) == 1 else points
 
@@ -522,9 +494,12 @@ class Study(_SectionsOfMethods):
         return None if key in self.drawn_keys else getattr(getattr(self, SECTION_OF[key]), key)
 
 
-def study_to_tables(study: Study) -> TomlTable:
-    """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`."""
-    content = study.model_dump(exclude_none=True)
+def study_to_tables(study: Study, *, exclude_unset: bool = False) -> TomlTable:
+    """Return the resolved study as nested dictionaries, the inverse of `study_from_dict`.
+
+    With ``exclude_unset`` without the keys that the study does not give.
+    """
+    content = study.model_dump(exclude_none=True, exclude_unset=exclude_unset)
     for key in study.drawn_keys:
         content[SECTION_OF[key]].pop(key, None)
     content["axes"] |= content.pop("zips")
@@ -532,4 +507,4 @@ def study_to_tables(study: Study) -> TomlTable:
         {key: value for key, value in case.items() if value is not None} for case in study.cases
     ]
     names = (*SECTIONS, "axes", "cases", "drawn")
-    return {name: content[name] for name in names if content.get(name)}
+    return {n: content[n] for n in names if content.get(n) or (n in SECTIONS and n in content)}

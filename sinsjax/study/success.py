@@ -1,8 +1,7 @@
 """The success of an alignment: the reference of its heading, and the criteria that it must meet.
 
-There are two separate questions. Does the filter converge? That is judged from the bias floor, the
-heading error that the constant sensor biases of the run leave. Does the vehicle know its heading?
-That is judged from the truth: true north, or the reference of a record.
+Whether a filter converges is judged from the bias floor, whether the vehicle knows its heading from
+the truth: true north, or the reference of a record.
 """
 
 from collections.abc import Callable
@@ -15,53 +14,35 @@ from sinsjax import columns
 from sinsjax.study.study import Study
 from sinsjax.value_types import otherwise
 
-MAX_DWELL_S = 30.0
-"""Longest dwell time that a run needs if the study does not give one."""
-
 FLOOR_COLUMNS = ("phi_u_arcmin", "floor_arcmin")
 """Columns of the final heading error of a run and its bias floor."""
 
 
 class SuccessCriteria(NamedTuple):
-    """The criteria of a run with status ``ok``.
+    """The criteria of a run with status ``ok``; a band is the half-width within which it ends."""
 
-    Attributes:
-        from_truth: whether the heading error is judged from the truth, not from the bias floor.
-        band_arcmin: half-width of the band in which the heading error ends.
-        level_band_arcmin: half-width of the band in which the level errors end.
-        diverged_deg: final heading error beyond which a run has diverged.
-        dwell_s: time in the band before the end; None for the smaller of 30 s and a tenth of the
-            run.
-    """
-
-    from_truth: bool
+    from_truth: bool  # whether the heading error is judged from the truth, not from the bias floor
     band_arcmin: float
     level_band_arcmin: float
-    diverged_deg: float
-    dwell_s: float | None
+    diverged_deg: float  # final heading error beyond which a run has diverged
+    dwell_s: float | None  # time in the band; None for the smaller of 30 s and a tenth of the run
 
     def dwell(self, run_s: ArrayLike) -> NDArray:
         """Return the time in the band that runs of some lengths (s) need, s."""
         if self.dwell_s is not None:
             return np.full(np.shape(run_s), self.dwell_s)
-        return np.minimum(MAX_DWELL_S, np.asarray(run_s) / 10)
+        return np.minimum(30.0, np.asarray(run_s) / 10)
 
 
 def success_criteria(study: Study) -> SuccessCriteria:
     """Return the success criteria of a study, with defaults."""
     settings = study.study
-
-    def number(key: str) -> float:
-        given: float | None = getattr(settings, key)
-        return otherwise(type(settings), key) if given is None else given
-
-    return SuccessCriteria(
-        from_truth=settings.judged_from != "floor",
-        band_arcmin=number("success_band_arcmin"),
-        level_band_arcmin=number("level_band_arcmin"),
-        diverged_deg=number("diverged_deg"),
-        dwell_s=settings.dwell_s,
+    band, level_band, diverged = (
+        otherwise(type(settings), key) if (given := getattr(settings, key)) is None else given
+        for key in ("success_band_arcmin", "level_band_arcmin", "diverged_deg")
     )
+    from_truth = settings.judged_from != "floor"
+    return SuccessCriteria(from_truth, band, level_band, diverged, settings.dwell_s)
 
 
 def settling_bands(study: Study) -> tuple[float, ...]:
@@ -71,19 +52,11 @@ def settling_bands(study: Study) -> tuple[float, ...]:
 
 
 class SuccessMeasure(NamedTuple):
-    """A reference of success, with its columns of the summary.
-
-    Attributes:
-        truth: whether it is the truth, or else the bias floor.
-        description: a success in words: ``within 10' of true north``.
-        settle_column: column of the time at which a run entered the band for good.
-        ok_column: column of the successes.
-        band_arcmin: half-width of the band.
-    """
+    """A reference of success, the truth or the bias floor, with its columns of the summary."""
 
     truth: bool
-    description: str
-    settle_column: str
+    description: str  # a success in words: within 10' of true north
+    settle_column: str  # of the time at which a run entered the band for good
     ok_column: str
     band_arcmin: float
 
@@ -118,15 +91,18 @@ def success_measures(study: Study, band_arcmin: float | None = None) -> tuple[Su
     """
     criteria = success_criteria(study)
     band = criteria.band_arcmin if band_arcmin is None else band_arcmin
+    north = "the reference" if study.is_recorded else "true north"
     kinds = (True,) if study.is_recorded else (criteria.from_truth, not criteria.from_truth)
-    measures = []
-    for truth in kinds:
-        north = "the reference" if study.is_recorded else "true north"
-        description = f"within {band:g}' of {north if truth else 'its bias floor'}"
-        column = columns.settle_column(band, truth=truth).name
-        ok_column = "ok_truth" if truth else "ok_floor"
-        measures.append(SuccessMeasure(truth, description, column, ok_column, band))
-    return tuple(measures)
+    return tuple(
+        SuccessMeasure(
+            truth=truth,
+            description=f"within {band:g}' of {north if truth else 'its bias floor'}",
+            settle_column=columns.settle_column(band, truth=truth).name,
+            ok_column="ok_truth" if truth else "ok_floor",
+            band_arcmin=band,
+        )
+        for truth in kinds
+    )
 
 
 def success_columns(study: Study) -> list[str]:

@@ -1,8 +1,7 @@
 """Reading the tables that vary a study: [axes] with their zips, [[cases]], [drawn], [tune].
 
-Every value is checked as a value of its key. Errors name all wrong values by their index, from 0:
-``[axes] phi_u0_deg[3]``, ``[axes.level] phi_e0_deg[0]``, ``[drawn] phi_u0_deg.values[2]``,
-``[tune.variables] reset_times_s[1].low``.
+Every value is checked as a value of its key. Errors name wrong values by their index, from 0:
+``[axes.level] phi_e0_deg[0]``, ``[tune.variables] reset_times_s[1].low``.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -56,11 +55,9 @@ class Sweep(BaseModel):
 
     Attributes:
         axes: values of single axes by leaf key, in the order of the file.
-        zips: axes that vary together by the name of their table: values by leaf key, all of the
-            same length.
+        zips: axes that vary together by the name of their table: values by leaf key.
         cases: one table of leaf keys per case, all with the same keys; ``case`` is the label.
-        drawn: distributions of keys whose value differs between draws; no section, axis or case
-            has these keys.
+        drawn: distributions of keys, which no section, axis or case has.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -74,8 +71,7 @@ class Sweep(BaseModel):
     def dimensions(self) -> list[Dimension]:
         """Tables of values by key, whose product is the sweep.
 
-        The cases are the first, since they vary most slowly, with the label before their keys; then
-        the zips; then the axes, one by one.
+        Cases vary most slowly, with the label before their keys; then the zips; then the axes.
         """
         keys = sorted(self.cases[0] if self.cases else (), key=lambda key: key != "case")
         cases = {key: tuple(case[key] for case in self.cases) for key in keys}
@@ -84,10 +80,7 @@ class Sweep(BaseModel):
 
     @cached_property
     def axis_keys(self) -> tuple[str, ...]:
-        """Keys that vary over the variants, in the order of the dimensions: cases, zips, axes.
-
-        The label ``case``, if any, is the first.
-        """
+        """Keys that vary over the variants, in the order of the dimensions; ``case`` is first."""
         return tuple(key for dimension in self.dimensions for key in dimension)
 
     @property
@@ -112,46 +105,28 @@ class Sweep(BaseModel):
         return dict.fromkeys(self.drawn_keys, ()) | swept
 
 
-def read_sweep(tables: TomlTable, errors: ErrorCollector) -> tuple[Sweep, frozenset[str]]:
-    """Return what varies in a study.
-
-    Args:
-        tables: tables of the file, with tuples for lists.
-        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
-
-    Returns:
-        Axes, zips, cases and drawn keys; and the keys that some cases have from their sections,
-        where they do not count any more.
-    """
+def read_sweep(tables: TomlTable, errors: ErrorCollector) -> Sweep:
+    """Return what varies in a study, whose tables have tuples; what is wrong goes to errors."""
     reader, axes, zips = _Reader(tables, {}, errors), Dimension(), dict[str, Dimension]()
     for name, given in tables.get("axes", {}).items():
         if isinstance(given, Mapping):
             zips[name] = reader.read_axes(f"[axes.{name}]", given)
         else:
             axes |= reader.read_axes("[axes]", {name: given})
-    swept = Sweep(axes=axes, zips=zips).values_varied
-    cases, inherited = tuple[TomlTable, ...](), frozenset[str]()
+    cases, drawn = tuple[TomlTable, ...](), None
     with errors.collect():
-        cases, inherited = _read_cases(reader, swept)
+        cases = _read_cases(reader, Sweep(axes=axes, zips=zips).values_varied)
     fixed = {key: f"[{name}]" for name in SWEEPABLE for key in tables.get(name, ())}
     reader.table_of = fixed | reader.table_of
-    drawn = None
     with errors.collect():
         drawn = _read_drawn(tables["drawn"], reader) if "drawn" in tables else None
-    return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn), inherited
+    return Sweep(axes=axes, zips=zips, cases=cases, drawn=drawn)
 
 
 def check_value(value: Any, key: str, place: str, *, many: type | None = None) -> Any:
-    """Return a value of a key, as a study has it.
+    """Return a value of a leaf key or ``case``; an error has a line per wrong entry.
 
-    Args:
-        value: value to check.
-        key: leaf key, or ``case``.
-        place: place that an error names.
-        many: ``tuple`` or ``dict`` for several values, in a tuple or by their numbers.
-
-    Raises:
-        InputError: the key does not accept the value; a line per wrong entry.
+    ``many`` is ``tuple`` or ``dict`` for several values, in a tuple or by their numbers.
     """
     return _check(_validator(key, many), value, place, f"{SECTION_OF.get(key)}.{key}")
 
@@ -166,10 +141,9 @@ def value_error(value: Any, key: str) -> str | None:
 
 
 def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
-    """Return the errors of values that a user can correct.
+    """Return the errors of values that a user can correct, without their consequences.
 
-    Consequences of these errors are left out: a list too short without its wrong entries, and a
-    default that depends on a wrong value.
+    Those are a list too short without its wrong entries, and a default that depends on one.
     """
     errors = [detail for detail in error.errors() if detail["type"] != "default_factory_not_called"]
     wholes = {detail["loc"][:end] for detail in errors for end in range(len(detail["loc"]))}
@@ -240,10 +214,7 @@ def _type_of(key: str) -> Any:
 class _Reader:
     """The keys that vary, while their tables are read.
 
-    Attributes:
-        tables: tables of the file.
-        table_of: the table, in brackets, of each key so far, which is in one of them.
-        errors: mistakes so far.
+    ``table_of`` has the table, in brackets, of each key so far, which is in one of them.
     """
 
     tables: TomlTable
@@ -306,10 +277,8 @@ def _check_distinct(rows: Sequence[Any], place: str) -> None:
             raise InputError(f"{place}[{i}]: repeats [{first[row]}] (drop one of them)")
 
 
-def _read_cases(
-    reader: _Reader, axes: Mapping[str, Collection[Any]]
-) -> tuple[tuple[TomlTable, ...], frozenset[str]]:
-    """Return the cases, each with the same keys, and the keys that some have from their sections.
+def _read_cases(reader: _Reader, axes: Mapping[str, Collection[Any]]) -> tuple[TomlTable, ...]:
+    """Return the cases, each with the same keys.
 
     A key that a case leaves out has the value of its section, or its default; None if an
     alternative to it is given instead.
@@ -324,7 +293,7 @@ def _read_cases(
     columns = {key: {i: row[key] for i, row in enumerate(rows) if key in row} for key in keys}
     read = reader.read("[cases]", "swept", columns, partial(check_value, many=dict))
     if read.keys() < keys.keys():
-        return (), frozenset()
+        return ()
     for i, row in enumerate(rows):
         for key in row:
             for other in sorted(alternative_keys(key) & row.keys()):
@@ -333,29 +302,25 @@ def _read_cases(
         if "case" in keys and "case" not in row:
             errors.add(f"[cases] case[{i}]: is not in every case (give it in all of them)")
     errors.raise_all()
-    cases = [{key: read[key][i] for key in row} for i, row in enumerate(rows)]
-    inherited = [key for key in keys if any(key not in row for row in rows)]
     # What a case without a key has in its place differs from case to case too.
-    acting = [
-        other
-        for key in inherited
-        for other in sorted(alternative_keys(key))
-        if other in tables.get(SECTION_OF[other], ())
-        or (other != COUNT and dependent_default(other, GivenKeys(tables, {})) is not None)
-    ]
-    keys |= dict.fromkeys(acting)
-    with errors.collect():
-        for case in cases:
-            varied = GivenKeys(tables, {**axes, **{key: (value,) for key, value in case.items()}})
-            case |= {key: _inherited_value(key, varied) for key in keys if key not in case}
+    for key in [key for key in keys if any(key not in row for row in rows)]:
+        for other in sorted(alternative_keys(key)):
+            default = other != COUNT and dependent_default(other, GivenKeys(tables, {}))
+            if other in tables.get(SECTION_OF[other], ()) or default not in (None, False):
+                keys.setdefault(other)
+    cases = []
+    for i, row in enumerate(rows):
+        case = {key: read[key][i] for key in row}
+        given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in case.items()}})
+        with errors.collect():
+            cases.append({k: case[k] if k in row else _inherited_value(k, given) for k in keys})
     errors.raise_all()
     names = [key for key in keys if key != "case"]
-    rows = [tuple(case[key] for key in names) for case in cases]
-    _check_distinct(rows, f"[cases] {', '.join(names) or 'case'}")
+    place = f"[cases] {', '.join(names) or 'case'}"
+    _check_distinct([tuple(case[key] for key in names) for case in cases], place)
     if "case" in keys:
         _check_distinct([case["case"] for case in cases], "[cases] case")
-    ordered = tuple({key: case[key] for key in keys} for case in cases)
-    return ordered, frozenset((*inherited, *acting))
+    return tuple(cases)
 
 
 def _inherited_value(key: str, given: GivenKeys) -> Any:
@@ -386,32 +351,24 @@ def _read_drawn(given: TomlTable, reader: _Reader) -> DrawnSection:
 def _read_law(value: Any, key: str, place: str) -> Distribution:
     fields = Distribution.model_fields
     law: Distribution = _check(Distribution.model_validate, value, place, fields=fields)
-    for name in ("values", "grid"):
-        if entries := getattr(law, name):
-            entries = check_value(entries, key, f"{place}.{name}", many=tuple)
-            law = law.model_copy(update={name: entries})
+    if law.values:
+        entries = check_value(law.values, key, f"{place}.values", many=tuple)
+        law = law.model_copy(update={"values": entries})
     return law
 
 
 def read_tune_section(
     table: TomlTable, tables: TomlTable, varied: Mapping[str, str], errors: ErrorCollector
 ) -> TomlTable:
-    """Return the section [tune] with checked ranges and values, without those that are wrong.
-
-    Args:
-        table: its keys, with tuples for lists.
-        tables: tables of the file.
-        varied: the table, in brackets, of each key that is swept or drawn.
-        errors: what is wrong is added to them, ``[table] key: what is wrong (hint)``.
-    """
+    """Return [tune] with checked ranges and values; ``varied`` has the table of each varied key."""
     table = dict(table)
     for name, read in (("variables", _read_range), ("baseline", check_value)):
         given, place = table.get(name), f"[tune.{name}]"
         if isinstance(given, Mapping):
             table[name] = _Reader(tables, dict(varied), errors).read(place, "tuned", given, read)
             own = dict.fromkeys(given, place)
-            if name == "variables" and {TIMES, COUNT} <= given.keys():
-                del own[COUNT]
+            if name == "variables" and TIMES in own:
+                own.pop(COUNT, None)
             with errors.collect():
                 check_alternatives({**varied, **own})
             if name == "variables" and not given:
@@ -430,8 +387,6 @@ def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
     kind = _type_of(key)
     entries = next((get_args(k) for k in _iter_types(kind) if get_origin(k) is tuple), ())
     if not isinstance(value, tuple):
-        if entries and isinstance(value, Mapping) and value.keys() & {"low", "high"}:
-            raise InputError(f"{place}: needs a list with one range per entry, not one range")
         return _check_range(value, kind, place)
     if not entries:
         raise InputError(f"{place}: needs one range, not a list (the key is one number)")
@@ -460,10 +415,7 @@ def _iter_types(kind: Any) -> Iterator[Any]:
 
 
 def without_gone_settings(tables: TomlTable) -> TomlTable:
-    """Return a study's sections without settings that version 1.0 wrote into every [tune].
-
-    They have no effect: the search that read them is refused.
-    """
+    """Return sections without settings of a gone search that 1.0 wrote into every [tune]."""
     tune = tables.get("tune")
     if not isinstance(tune, Mapping):
         return tables

@@ -15,12 +15,7 @@ Dimension = dict[str, tuple[Any, ...]]
 
 
 class CodedColumn(NamedTuple):
-    """A dictionary-coded column.
-
-    Attributes:
-        codes: (variants,) index of each variant's value in ``choices``.
-        choices: the distinct values, in the units of the file.
-    """
+    """A column as a code per variant, (variants,), and the distinct values, in the file's units."""
 
     codes: np.ndarray
     choices: tuple[Any, ...]

@@ -23,21 +23,13 @@ _MANY_TURNS_DEG = 720.0  # as many as some methods need
 
 
 class Turn(NamedTuple):
-    """One turn in whole samples.
+    """One turn in whole samples."""
 
-    Attributes:
-        begin: sample at which the ramp up begins.
-        length: samples from there to the beginning of the ramp down.
-        ramp: samples of a ramp.
-        angle_deg: signed angle.
-        rate_deg_per_s: signed rate after the ramp.
-    """
-
-    begin: int
-    length: int
-    ramp: int
+    begin: int  # sample at which the ramp up begins
+    length: int  # samples from there to the beginning of the ramp down
+    ramp: int  # samples of a ramp
     angle_deg: float
-    rate_deg_per_s: float
+    rate_deg_per_s: float  # after the ramp
 
 
 class TurnError(ValueError):
@@ -45,18 +37,11 @@ class TurnError(ValueError):
 
 
 def turns_in_samples(rate_hz: float, end_s: float, values: Mapping[str, Any]) -> list[Turn]:
-    """Return the turns of a run in whole samples, in order of time; none begins after the end.
+    """Return the turns of a run of some length in whole samples; none begins after the end.
 
     Begin, length and ramp of a turn are rounded to samples, and its rate is adjusted for its exact
-    angle, unless the run ends within the turn.
-
-    Args:
-        rate_hz: sample rate, Hz.
-        end_s: length of the data, s.
-        values: values of `TURN_KEYS`; None for a key that is left out.
-
-    Raises:
-        TurnError: turns that overlap or are too fast for the samples.
+    angle, unless the run ends within the turn. The values are those of `TURN_KEYS`; a `TurnError`
+    refuses turns that overlap or are too fast for the samples.
     """
     times_s = values["turn_times_s"] or ()
     angle, rate, ramp_s = (
@@ -113,11 +98,7 @@ def _turned_points(study: Study, *keys: str) -> Iterator[dict[str, Any]]:
 
 
 def check_turns(study: Study) -> None:
-    """Refuse turns that overlap or are too fast for the samples.
-
-    Raises:
-        InputError: ``[section] key: what is wrong (hint)``.
-    """
+    """Refuse turns that overlap or are too fast for the samples."""
     for point in _turned_points(study):
         try:
             turns_in_samples(study.rate_hz, data_end_s(study), point)
@@ -131,15 +112,10 @@ def useless_methods(study: Study) -> Iterator[str]:
     for point in _turned_points(study, "method"):
         name, turning = point["method"], METHODS[point["method"]].turning
         turns = turns_in_samples(study.rate_hz, end_s, point)
-        is_few = _turned_deg(turns, end_s * study.rate_hz) < _MANY_TURNS_DEG
+        is_few = sum(abs(turn.angle_deg) for turn in turns) < _MANY_TURNS_DEG
         if turning == "none" or (turning == "many" and is_few):
             useless[name] = " unless it makes many" if turning == "many" else ""
     good = ", ".join(name for name, method in METHODS.items() if method.turning == "any")
     for name, few in useless.items():
         text = f"{name} does not average gyro biases over the turns of a base{few} (use {good})"
         yield f"[alignment] method: {text}"
-
-
-def _turned_deg(turns: list[Turn], end: float) -> float:
-    """Return the sum of the magnitudes of all angles turned by a sample."""
-    return sum(min(1.0, (end - t.begin) / t.length) * abs(t.angle_deg) for t in turns)

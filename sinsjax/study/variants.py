@@ -19,18 +19,12 @@ class Variants:
     """Columns of a study for some of its variants, as a method reads them.
 
     Attributes:
-        study: the study.
         ids: (variants,) numbers of the variants in the study.
-        record_interval_s: time between two record times, s.
-        run_s: length of the shortest run, s.
-        is_recorded: whether the sensors come from a record, which has no [motion] and [sensors].
-        site: `methods.method.Site` of these variants; for params only.
-        micro_g: the micro-g that the study counts in, m/s^2; for params only.
-        combinations: (keys) -> their distinct combinations over all variants as dictionaries; a
-            drawn key is None.
-        given_combinations: the same as the file gives them, before others decide their values.
-        given_in: (key) -> the table, in brackets, that gives a key; None if it is left out.
-        refuse: (key, text) raises the `InputError` of a key: ``[section] key: text``.
+        site, micro_g: `methods.method.Site`, and the micro-g that the study counts in, m/s^2; for
+            params only.
+        record_interval_s, run_s: time between two record times, length of the shortest run, s.
+
+    Its other attributes are those of the study.
     """
 
     def __init__(
@@ -42,15 +36,7 @@ class Variants:
         site: Any = None,
         micro_g: float = math.nan,
     ) -> None:
-        """Take some variants of a study.
-
-        Args:
-            study: checked study.
-            ids: (variants,) their numbers.
-            drawn: values of its draws by key.
-            site: `methods.method.Site` of the variants, for the params of a method.
-            micro_g: the micro-g that the study counts in, m/s^2, likewise.
-        """
+        """Take some variants by their ids; ``drawn`` has the values of the study's draws by key."""
         self.study, self._drawn = study, drawn or {}
         self.ids, self.count = ids, len(ids)
         self.site, self.micro_g = site, micro_g

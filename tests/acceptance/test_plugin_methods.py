@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import sinsjax
-from sinsjax.errors import InputError
 from sinsjax.methods.method import Options
 from sinsjax.methods.plugins import check_plugin
 
@@ -28,14 +27,12 @@ BROKEN = "averages.toml: [alignment] method: 'averaged' cannot be used: "
 SOURCE = f"{BROKEN}entry point 'averaged' in sinsjax.methods of averaged-alignment 1.0: "
 
 
-def test_example_plugin_keeps_its_promises_but_reads_a_record_once(
+def test_example_plugin_keeps_its_promises(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.syspath_prepend(EXAMPLE)
     method = importlib.import_module("averaged_alignment.method").AVERAGED.build(Options(0.01))
     check_plugin("it", method, np.array([0.5]), 1, None)
-    with pytest.raises(InputError, match=r"^it: reads a stored record once \(drop \[passes\]\)$"):
-        check_plugin("it", method, np.array([0.5]), 1, None, is_reversed=True)
 
 
 @pytest.fixture(scope="module")

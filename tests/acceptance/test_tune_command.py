@@ -128,6 +128,19 @@ def test_tuned_study_has_best_point_and_draws_that_neither_tuned_nor_evaluated(m
     assert (made / "tuned.toml").read_text().startswith("# The seed is new: ")
 
 
+def test_results_have_objectives_on_draws_that_did_not_tune(made: Path) -> None:
+    found, errors = TuningResults(made), dict[tuple[str, float], list[float]]()
+    for row in read_summary(made / "evaluation").to_pylist():
+        errors.setdefault((row["case"], row["phi_u0_deg"]), []).append(row["phi_u_arcmin"])
+    rms = {key: np.sqrt(np.mean(np.square(values))) for key, values in errors.items()}
+    for case, score in (("grid, law", found.score), ("baseline", found.baseline)):
+        assert score.value == pytest.approx(max(rms[case, 5.0], rms[case, 30.0]))
+        assert score.low < score.value < score.high and score.n == 4
+    assert found.search == "grid" and found.study == load_study(made / "tuned.toml")
+    assert found.best == {"reset_times_s": [*found.study.reset_times()[0]]}
+    assert "arcmin" in found.objective and "grid" in repr(found)
+
+
 @pytest.mark.nightly
 def test_sweep_and_rerun_do_not_silently_ignore_tuning(made: Path, sinsjax: Command) -> None:
     note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."

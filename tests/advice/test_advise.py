@@ -269,8 +269,6 @@ def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, cap
     assert sinsjax.load_study(study).values("method") == ["gravity_fit"]
     code, out, error = command("advise", sheet, "--study", tmp_path / "no_folder" / "check.toml")
     assert (code, out) == (2, "") and error.count("\n") == 1 and "no_folder" in error
-    code, _, error = command("sweep", sheet, "-o", tmp_path / "out")
-    assert code == 2 and f"sinsjax advise {sheet} --study" in error
     before = study.read_bytes()
     code, _, error = command("advise", sheet, "--study", study)
     assert code == 2 and str(study) in error and study.read_bytes() == before

@@ -23,7 +23,10 @@ STUDIES: dict[str, dict[str, Any]] = {
     "gravity": {"alignment": {"specific_force": "gravity"}},
     "drawn": {
         "alignment": {"phi_e0_deg": None},
-        "drawn": {"pitch_center_deg": {"grid": [-5.0, 5.0]}, "phi_e0_deg": {"normal": [0.0, 3.0]}},
+        "drawn": {
+            "pitch_center_deg": {"values": [-5.0, 5.0]},
+            "phi_e0_deg": {"normal": [0.0, 3.0]},
+        },
     },
 }
 """Plain is measured in programs that take a quarter of the time to compile."""

@@ -59,7 +59,7 @@ DRAWS = 5
 ALL = {
     "latitude_deg": {"uniform": [-60.0, 60.0]},
     "yaw_center_deg": {"uniform": [0.0, 360.0]},
-    "pitch_center_deg": {"grid": [-5.0, 5.0]},
+    "pitch_center_deg": {"values": [-5.0, 5.0]},
     "roll_amplitude_deg": {"uniform": [0.0, 3.0]},
     "roll_period_s": {"uniform": [3.0, 8.0]},
     "yaw_phase_deg": {"uniform": [-180.0, 180.0]},

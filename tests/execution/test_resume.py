@@ -79,7 +79,7 @@ def study_with_draws(draws: int, **tables: Any) -> Study:
         (
             small_study(axes={"p0_yaw_deg": [10.0], "phi_u0_deg": [2.0]}),
             small_study(axes={"phi_u0_deg": [2.0], "p0_yaw_deg": [10.0]}),
-            "its keys are in another order",
+            "the order of its keys",
         ),
     ],
 )

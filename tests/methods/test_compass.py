@@ -1,44 +1,33 @@
-"""Compass loops: their design, their stability, and the same loops written naively."""
+"""Compass loops: their design, their keys, and the same loops written naively."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles.in_engine import (
-    ARCMIN,
-    DEG_PER_H,
-    PAPER2,
-    UG,
-    follow,
-    loops,
-    site,
-)
+from oracles.in_engine import ARCMIN, DEG_PER_H, PAPER2, UG, follow, loops, site
 from oracles.in_engine import swing_increments as record_of
 from oracles.naive import (
     DEG,
     SECOND_PAPER,
     WGS84,
     Loops,
-    Swing,
     azimuth_gains,
     compass_loop,
     exp,
     level_gains,
     of_quaternion,
 )
+from support.batches import batch_of
+from support.studies import with_paper_values
 
 from sinsjax.methods import compass as design
 from sinsjax.methods.compass import REVERSALS
 from sinsjax.methods.method import Options
+from sinsjax.study.load import study_from_dict
 
 EARTH = SECOND_PAPER
 G, R = EARTH.gravity, EARTH.a
 G_AND_R = {"gravity": G, "radius": R}
-LATITUDE = 32.057313 * DEG
-STILL = Swing(*np.zeros((2, 3)), np.ones(3), np.zeros(3))
-NEVER = np.inf
-LEVEL, AZIMUTH = level_gains(0.02, EARTH), azimuth_gains(0.01, EARTH)
-NO_AZIMUTH = (NEVER, AZIMUTH)
 
 # Design
 
@@ -62,6 +51,50 @@ def test_at_pace_scales_sigma(sigma, damping, pace):
     gains = design.scale_azimuth_gains(design.azimuth_gains(sigma, damping, **G_AND_R), pace)
     expected = design.azimuth_gains(pace * sigma, damping, **G_AND_R)
     np.testing.assert_allclose(gains, expected, rtol=1e-11)
+
+
+# Keys
+
+
+def numbers(**tables):
+    """The params of the variants of a study, leaves (variants, ...)."""
+    data = {
+        "study": {"duration_s": 20.0, "rate_hz": 100.0, "draws": 1, "window_s": [4, 6]},
+        "earth": {"latitude_deg": 32.057313, "radius_m": R},
+        "motion": {"yaw_center_deg": 0.0},
+        "alignment": {"method": "compass"},
+    }
+    return batch_of(study_from_dict(with_paper_values(data | tables))).params.method
+
+
+def test_gains_are_those_of_sigma_and_damping_or_given():
+    """By default those of [P2] section 3.1, whose K3 of the level is 50 times what it should be."""
+    printed = [0.06, 1040.33306122, 0.000081632653], [0.02, 259.3332653, 4.082e-9, 0.02]
+    made = numbers()
+    np.testing.assert_allclose(made.level[:2], np.transpose([printed[0][:2]]), rtol=5e-11)
+    np.testing.assert_allclose(made.level.k3, printed[0][2] / 50, rtol=1e-8)
+    np.testing.assert_allclose(made.azimuth, np.transpose([printed[1]]), rtol=1e-4)
+    of_azimuth = {"azimuth_sigma_per_s": 0.02, "azimuth_damping": 0.8}
+    made = numbers(compass={"level_gains": printed[0]} | of_azimuth)
+    np.testing.assert_allclose(np.ravel(made.level), printed[0])
+    np.testing.assert_allclose(np.ravel(made.azimuth), design.azimuth_gains(0.02, 0.8, **G_AND_R))
+
+
+def test_schedules_in_seconds_become_samples():
+    times = numbers(
+        compass={"level_time_s": 3.21},
+        cases=[
+            {"sigma_factors": [4.0, 2.0, 1.0], "sigma_times_s": [5.0, 7.5]},
+            {"sigma_factors": [3.0], "sigma_times_s": []},
+        ],
+    )
+    np.testing.assert_array_equal(times.azimuth_from, [321, 321])
+    np.testing.assert_array_equal(times.pace.samples, [[500, 750], [np.inf, np.inf]])
+    # A piece that never begins has some value.
+    np.testing.assert_array_equal(times.pace.values, [[4, 2, 1], [3, 1, 1]])
+
+
+# Runs
 
 
 def close(got, expected, tolerance):

@@ -114,13 +114,13 @@ def test_lever_arm_is_an_unknown_that_costs_little(
 
 
 @pytest.mark.nightly
-def test_reported_heading_is_that_of_a_run_of_that_length() -> None:
+def test_heading_depends_neither_on_later_data_nor_on_the_length_of_records() -> None:
+    ends = "phi_u_arcmin", "sigma_u_arcmin"
     whole = study(4, study={"report_times_s": [90.0]})
-    short = study(4, study={"duration_s": 90.0})
-    at, sigma_at = columns(whole, "phi_u_at_90_arcmin", "sigma_u_at_90_arcmin")
-    end, sigma = columns(short, "phi_u_arcmin", "sigma_u_arcmin")
-    np.testing.assert_allclose(at, end, rtol=1e-6)
-    np.testing.assert_allclose(sigma_at, sigma, rtol=1e-6)
+    at = columns(whole, "phi_u_at_90_arcmin", "sigma_u_at_90_arcmin")
+    np.testing.assert_allclose(at, columns(study(4, study={"duration_s": 90.0}), *ends), rtol=1e-6)
+    fine = study(4, study={"record_interval_s": 0.5})  # joined to blocks of a second
+    np.testing.assert_allclose(columns(fine, *ends), columns(study(4), *ends), rtol=1e-6)
 
 
 @pytest.mark.nightly
@@ -156,13 +156,6 @@ def test_doubts_about_fits_are_cautions_of_every_verdict(truth: bool) -> None:
         doubts = [fact.text for fact in facts if fact.is_caution and "the fit" in fact.text]
         assert len(doubts) == (name != "none")
         assert all("3.1" in text and text.endswith("(2 of 16 fits)") for text in doubts)
-
-
-@pytest.mark.nightly
-def test_records_shorter_than_a_second_are_joined_to_blocks() -> None:
-    names = "phi_u_arcmin", "sigma_u_arcmin"
-    fine = study(4, study={"record_interval_s": 0.5})
-    np.testing.assert_allclose(columns(fine, *names), columns(study(4), *names), rtol=1e-6)
 
 
 def test_linear_pass_is_dense_least_squares() -> None:

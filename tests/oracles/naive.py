@@ -511,13 +511,11 @@ def turned_platform(c, v, integral, rate, force, g, rule):
     A specific force (f_E, f_N) that stands for tilts -f_E / g about N and f_N / g about E is
     turned into its opposite by twice these angles.
     """
-    if rule == "restart":
-        return c, 0 * v, 0 * integral, 0.0, force
     if rule == "reflect":
         tilt = np.array([force[1, 1], -force[1, 0], 0.0]) / g
         return exp(2 * tilt) @ c, -v, -integral, rate, -force
-    kept = {"keep": 1.0, "velocity": 1.0, "velocity_and_rate": -1.0, "velocity_drop_rate": 0.0}
-    return c, v if rule == "keep" else -v, -integral, kept[rule] * rate, force
+    rate = -rate if rule == "velocity_and_rate" else rate
+    return c, v if rule == "keep" else -v, -integral, rate, force
 
 
 class Judged(NamedTuple):

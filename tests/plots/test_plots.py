@@ -116,17 +116,18 @@ def test_map_does_not_depend_on_order_of_rows_or_kind_of_table():
 
 
 @pytest.mark.parametrize(
-    ("table", "line"),
+    ("table", "value", "line"),
     [
-        (run_table().slice(0, 5), "no full grid of these keys"),
-        (run_table().slice(0, 0), "there are no runs"),
-        (run_table().drop_columns(["settle_10_s"]), "column settle_10_s is missing"),
-        ([1, 2], "list: is not a table"),
+        (run_table().slice(0, 5), "settle_10_s", "no full grid of these keys"),
+        (run_table().slice(0, 0), "settle_10_s", "there are no runs"),
+        (run_table(), "settle_3_s", "column settle_3_s is missing"),
+        (run_table(), "status", "column status has no numbers"),
+        ([1, 2], "settle_10_s", "list: is not a table"),
     ],
 )
-def test_map_of_unusable_runs_is_refused(table, line):
+def test_map_of_unusable_runs_is_refused(table, value, line):
     with pytest.raises(InputError, match=line):
-        sinsjax.plot_map(table, *MAP, "settle_10_s")
+        sinsjax.plot_map(table, *MAP, value)
 
 
 # --- plot_compare -------------------------------------------------------------------------------

@@ -60,8 +60,3 @@ def test_report_on_a_removed_trigger_says_what_still_reads_the_rows(tmp_path: Pa
     (line,) = caught.value.lines
     assert "'nis'" in line and gone.MARK in line and "read_summary" in line
     assert len(sinsjax.read_summary(out))
-
-
-def test_removed_name_of_the_package_says_what_to_use() -> None:
-    with pytest.raises(AttributeError, match=rf"'estimate': {gone.MARK} \(use `sinsjax.run`"):
-        sinsjax.estimate  # noqa: B018

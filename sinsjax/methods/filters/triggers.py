@@ -40,49 +40,35 @@ class TriggerCounts(NamedTuple):
 
 
 class TriggerState(NamedTuple):
-    """A trigger between two samples.
-
-    Attributes:
-        fed_back: attitude corrections fed back since the last reset or direction reversal, less
-            the estimate before that reversal, rad.
-        last_reset: sample of the last reset of any kind.
-    """
+    """A trigger between two samples."""
 
     memory: Any
+    # Attitude corrections fed back since the last reset or direction reversal, less the
+    # estimate before that reversal, rad
     fed_back: Vec3
     trigger_counts: TriggerCounts
-    last_reset: Scalar
+    last_reset: Scalar  # sample of the last reset of any kind
 
 
 class FilterSnapshot(NamedTuple):
-    """The filter after the update of a sample, as a trigger sees it.
+    """The filter after the update of a sample, as a trigger sees it."""
 
-    Attributes:
-        innovation: of the velocity, m/s.
-        correction: of the attitude since the last reset or direction reversal: fed back, and
-            estimated but not yet fed back, rad.
-        not_fed_back: the latter part, rad.
-        covariance: belief -> covariance of the misalignment under this belief.
-        at_rest: transition of a base at rest, with specific force (0, 0, g).
-    """
-
-    innovation: Innovation
+    innovation: Innovation  # of the velocity, m/s
     belief: Belief
+    # Of the attitude since the last reset or direction reversal: fed back, and estimated but
+    # not yet fed back, rad
     correction: Vec3
-    not_fed_back: Vec3
+    not_fed_back: Vec3  # the latter part, rad
+    # (belief) -> covariance of the misalignment under this belief
     covariance: Callable[[Belief], AttitudeCovariance]
-    at_rest: Entries
+    at_rest: Entries  # transition of a base at rest, with specific force (0, 0, g)
 
 
 class Trigger(NamedTuple):
-    """A trigger.
+    """A trigger."""
 
-    Attributes:
-        start: P -> memory at the start and after a reset that leaves P.
-        score: (params of the filter, memory, snapshot) -> memory and score.
-    """
-
-    start: Callable[[Triangle], Any]
+    start: Callable[[Triangle], Any]  # P -> memory at the start and after a reset that leaves P
+    # (params of the filter, memory, snapshot) -> memory and score
     score: Callable[[Any, Any, FilterSnapshot], tuple[Any, Scalar]]
 
 

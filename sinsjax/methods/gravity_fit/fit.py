@@ -68,20 +68,15 @@ _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 
 class FitParams(NamedTuple):
-    """Beliefs about sensors and base: their noise, and 1 sigma of each axis' errors, SI units.
-
-    Attributes:
-        scale_factor: of the gyros; None leaves these, and the cross-axis errors, out.
-        cross_axis: of the gyros, rad.
-        lever_arm: from the turn axis to the sensors, m; None for sensors in it.
-    """
+    """Beliefs about sensors and base: their noise, and 1 sigma of each axis' errors, SI units."""
 
     noise: whitening.SensorNoise
     gyro_bias: Scalar
     accel_bias: Scalar
+    # Of the gyros; None leaves these, and the cross-axis errors, out
     scale_factor: Scalar | None = None
-    cross_axis: Scalar | None = None
-    lever_arm: Scalar | None = None
+    cross_axis: Scalar | None = None  # of the gyros, rad
+    lever_arm: Scalar | None = None  # from the turn axis to the sensors, m; None for sensors in it
 
     def sigmas(self) -> tuple[tuple[Vec3, ...], tuple[Vec3, ...]]:
         """Return 1 sigma of the triads of `_Guess.gyro` and of `_Guess.others`."""
@@ -93,21 +88,13 @@ class FitParams(NamedTuple):
 
 
 class Block(NamedTuple):
-    """The samples of about a second.
+    """The samples of about a second."""
 
-    Attributes:
-        turn: rotation of the body.
-        half: rotation by half the angle about the same axis.
-        angle: rotation vector of ``turn``, rad.
-        dv: velocity increment in b at the start, m/s.
-        rate: angular rate in b at the end, rad/s.
-    """
-
-    turn: Quat
-    half: Quat
-    angle: Vec3
-    dv: Vec3
-    rate: Vec3
+    turn: Quat  # rotation of the body
+    half: Quat  # rotation by half the angle about the same axis
+    angle: Vec3  # rotation vector of ``turn``, rad
+    dv: Vec3  # velocity increment in b at the start, m/s
+    rate: Vec3  # angular rate in b at the end, rad/s
 
     @classmethod
     def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3) -> "Block":
@@ -145,29 +132,20 @@ class Block(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The result of a fit.
+    """The result of a fit."""
 
-    Attributes:
-        attitude: C_{b0}^{n0} that carries the body frame at the first sample to n at that time,
-            such that the attitude at the fit is that of the last block.
-        carried: C_b^{b0} at the end of the last block, without the gyro errors.
-        gyro: triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns
-            of the matrix of scale factors and cross-axis errors.
-        gyro_bias_variance: of each axis, (rad/s)^2.
-        covariance: of the misalignment at the last block, in n0.
-        misfit: root mean square of the whitened residuals, 1 if the noise is as believed.
-        prior_ratio: the largest error found of sensors and lever arm over its prior sigma.
-        change: length of the last pass's change of the unknowns, in sigma.
-    """
-
+    # C_{b0}^{n0} that carries the body frame at the first sample to n at that time, such that
+    # the attitude at the fit is that of the last block
     attitude: Quat
-    carried: Quat
+    carried: Quat  # C_b^{b0} at the end of the last block, without the gyro errors
+    # Triads of gyro errors in b: the bias, rad/s; then, if they are unknowns, the columns of
+    # the matrix of scale factors and cross-axis errors
     gyro: tuple[Vec3, ...]
-    gyro_bias_variance: Vec3
-    covariance: AttitudeCovariance
-    misfit: Scalar
-    prior_ratio: Scalar
-    change: Scalar
+    gyro_bias_variance: Vec3  # of each axis, (rad/s)^2
+    covariance: AttitudeCovariance  # of the misalignment at the last block, in n0
+    misfit: Scalar  # root mean square of the whitened residuals, 1 if the noise is as believed
+    prior_ratio: Scalar  # the largest error found of sensors and lever arm over its prior sigma
+    change: Scalar  # length of the last pass's change of the unknowns, in sigma
 
     @classmethod
     def before_data(cls, params: FitParams, zero: Scalar) -> "Solution":
@@ -210,17 +188,12 @@ def solve(
 
 
 class _Guess(NamedTuple):
-    """The point of linearisation.
+    """The point of linearisation."""
 
-    Attributes:
-        level: C_{b0}^l.
-        heading: c of unit length, real and imaginary part.
-        others: accelerometer bias, m/s^2, and if it is an unknown the lever arm, m, in b.
-    """
-
-    level: Quat
-    heading: tuple[Scalar, Scalar]
+    level: Quat  # C_{b0}^l
+    heading: tuple[Scalar, Scalar]  # c of unit length, real and imaginary part
     gyro: tuple[Vec3, ...]
+    # Accelerometer bias, m/s^2, and if it is an unknown the lever arm, m, in b
     others: tuple[Vec3, ...]
 
     def errors(self) -> Array:
@@ -240,23 +213,16 @@ class _Guess(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """A pass up to a block; complex numbers stand for the level axes of l.
+    """A pass up to a block; complex numbers stand for the level axes of l."""
 
-    Attributes:
-        body: C_b^l at the end of the block.
-        turned: P, columns of how far each gyro error has rotated l, Vec3 by unknown.
-        swung: velocity in l per lever arm along each axis of b.
-        walk: (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
-            last for the measurements.
-        variance: their covariance, per axis.
-        normal: rows of the upper triangle of N, with the measurements as last column.
-    """
-
-    body: Quat
-    turned: tuple[Vec3, ...]
-    swung: tuple[Vec3, ...]
+    body: Quat  # C_b^l at the end of the block
+    turned: tuple[Vec3, ...]  # P, columns of how far each gyro error has rotated l, Vec3 by unknown
+    swung: tuple[Vec3, ...]  # velocity in l per lever arm along each axis of b
+    # (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
+    # last for the measurements
     walk: tuple[Array, ...]
-    variance: whitening.Covariance
+    variance: whitening.Covariance  # their covariance, per axis
+    # Rows of the upper triangle of N, with the measurements as last column
     normal: tuple[Array, ...]
 
 

@@ -47,30 +47,19 @@ REFITS = (
 
 
 class FitState(NamedTuple):
-    """A run between two samples.
+    """A run between two samples."""
 
-    Attributes:
-        nav: initial solution, whose attitude is the result before the first sample.
-        turn: rotation of the body since the block began.
-        dv: velocity increment since then, in b at that time, m/s.
-        last: half the rotation of the last sample, rad.
-        rate: half the rotation of a sample at the rate at its end, rad: extrapolated, since a lag
-            of half a sample shows in the velocity of a long lever arm.
-        earth: rotation rate of the Earth in n, rad/s.
-        count: samples so far.
-        blocks: (most, `NUMBERS`) ended blocks, each a `fit.Block`.
-        solution: of the last fit, carried to the beginning of the block.
-    """
-
-    nav: Navigation
-    turn: Quat
-    dv: Vec3
-    last: Vec3
+    nav: Navigation  # initial solution, whose attitude is the result before the first sample
+    turn: Quat  # rotation of the body since the block began
+    dv: Vec3  # velocity increment since then, in b at that time, m/s
+    last: Vec3  # half the rotation of the last sample, rad
+    # Half the rotation of a sample at the rate at its end, rad: extrapolated, since a lag of
+    # half a sample shows in the velocity of a long lever arm
     rate: Vec3
-    earth: Vec3
-    count: Scalar
-    blocks: Array
-    solution: Solution
+    earth: Vec3  # rotation rate of the Earth in n, rad/s
+    count: Scalar  # samples so far
+    blocks: Array  # (most, `NUMBERS`) ended blocks, each a `fit.Block`
+    solution: Solution  # of the last fit, carried to the beginning of the block
 
 
 def build(options: method.Options) -> method.Program:

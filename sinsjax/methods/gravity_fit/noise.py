@@ -20,55 +20,34 @@ Covariance: TypeAlias = dict[tuple[int, int], Number]
 
 
 class Drift(NamedTuple):
-    """A slow error of each axis of a triad, or the surge: a first-order process.
+    """A slow error of each axis of a triad, or the surge: a first-order process."""
 
-    Attributes:
-        variance: at the first sample; that of a stationary process if ``rate`` is not zero.
-        rate: 1 over its correlation time, 1/s; 0 for a random walk.
-        density: variance that a random walk gains per second.
-    """
-
-    variance: Scalar
-    rate: Scalar
-    density: Scalar
+    variance: Scalar  # at the first sample; that of a stationary process if ``rate`` is not zero
+    rate: Scalar  # 1 over its correlation time, 1/s; 0 for a random walk
+    density: Scalar  # variance that a random walk gains per second
 
 
 class SensorNoise(NamedTuple):
-    """The noise of the sensors and of the base, SI units.
+    """The noise of the sensors and of the base, SI units."""
 
-    Attributes:
-        gyro: density of the gyros' white noise, rad/s^0.5.
-        accel: density of the accelerometers' white noise, m/s^1.5.
-        gyro_drifts: of each gyro, rad/s.
-        accel_drifts: of each accelerometer, m/s^2.
-        surge: velocity of the base along east and north, m/s; None for a base in place.
-    """
-
-    gyro: Scalar
-    accel: Scalar
-    gyro_drifts: tuple[Drift, ...] = ()
-    accel_drifts: tuple[Drift, ...] = ()
+    gyro: Scalar  # density of the gyros' white noise, rad/s^0.5
+    accel: Scalar  # density of the accelerometers' white noise, m/s^1.5
+    gyro_drifts: tuple[Drift, ...] = ()  # of each gyro, rad/s
+    accel_drifts: tuple[Drift, ...] = ()  # of each accelerometer, m/s^2
+    # Velocity of the base along east and north, m/s; None for a base in place
     surge: Drift | None = None
 
 
 class NoiseState(NamedTuple):
-    """A slow error of the blocks as a complex state of the level axes: w, a drift or the surge.
+    """A slow error of the blocks as a complex state of the level axes: w, a drift or the surge."""
 
-    Attributes:
-        seen: factor of the state in a measurement.
-        kept: share of it that is left after a block.
-        to_walk: factor with which it adds to w; None for a state that does not turn with the body.
-        driven: variance that it gains in a block.
-        shared: covariance of that with the noise of the measurement.
-        variance: before the first block.
-    """
-
-    seen: Scalar
-    kept: Scalar
+    seen: Scalar  # factor of the state in a measurement
+    kept: Scalar  # share of it that is left after a block
+    # Factor with which it adds to w; None for a state that does not turn with the body
     to_walk: Scalar | None
-    driven: Scalar
-    shared: Scalar
-    variance: Scalar
+    driven: Scalar  # variance that it gains in a block
+    shared: Scalar  # covariance of that with the noise of the measurement
+    variance: Scalar  # before the first block
 
 
 class NoiseModel(NamedTuple):
