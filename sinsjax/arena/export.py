@@ -23,7 +23,7 @@ from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.arena.simulated_record import simulated_records
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, check_directory, results_path
+from sinsjax.execution.directory import STUDY, check_directory
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
@@ -110,7 +110,7 @@ def export_study(
         if value not in choices:
             raise InputError(f"{option}: {value!r} is not one of {', '.join(choices)}")
     runs = ProgramRuns(study.model_copy(update={"stop_when": None, "tune": None}))
-    out = results_path(directory)
+    out = Path(directory)
     check_directory(out)
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: is not empty (give another directory, or delete it)")

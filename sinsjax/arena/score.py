@@ -28,9 +28,13 @@ from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution.results import Results
 from sinsjax.execution.run import ProgressCallback, run_into
-from sinsjax.execution.schemas import summary_columns
 from sinsjax.execution.store import write_table
-from sinsjax.execution.tables import TableBuilder, make_table, replace_column
+from sinsjax.execution.tables import (
+    TableBuilder,
+    make_table,
+    replace_column,
+    summary_columns,
+)
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance

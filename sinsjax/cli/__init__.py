@@ -73,15 +73,13 @@ def run(
 
     Example: sinsjax run paper1_resets -o out
     """
-    from sinsjax.execution.run import MAX_CURVE_RUNS
-
     run_study(
         config,
         changes,
         devices=devices,
         full=full,
         directory=out,
-        max_curve_runs=MAX_CURVE_RUNS,
+        keeps_few_curves=True,
         overwrite=overwrite,
         resume=resume,
     )
@@ -152,8 +150,6 @@ def align(
 
     Example: sinsjax align drive.imu car_test -o out
     """
-    from sinsjax.execution.run import MAX_CURVE_RUNS
-
     run_study(
         config,
         changes,
@@ -161,7 +157,7 @@ def align(
         devices=devices,
         full=full,
         directory=out,
-        max_curve_runs=MAX_CURVE_RUNS,
+        keeps_few_curves=True,
         overwrite=overwrite,
         resume=resume,
     )
@@ -204,8 +200,8 @@ def rerun(
     run_id: Annotated[
         int, typer.Option(help="Number of the run.", min=0, show_default=False, metavar="N")
     ],
-    given: Annotated[
-        str | None,
+    out: Annotated[
+        Path | None,
         typer.Option(
             "--out",
             "-o",
@@ -221,7 +217,6 @@ def rerun(
     Example: sinsjax rerun out --run-id 17
     """
     from sinsjax.execution import rerun as rerunning
-    from sinsjax.execution.directory import results_path
     from sinsjax.tuning import history
 
     runtime.configure()
@@ -231,9 +226,8 @@ def rerun(
             f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
         )
     runtime.start_backend()
-    out_path = None if given is None else results_path(given)
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out_path, files=files):
+    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 

@@ -65,7 +65,7 @@ Draws = Annotated[
     ),
 ]
 Out = Annotated[
-    str,  # because an empty path would become "."
+    Path,
     typer.Option(
         "--out", "-o", help="Directory for the results.", show_default=False, metavar="DIR"
     ),

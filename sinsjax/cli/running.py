@@ -32,21 +32,10 @@ def run_study(
 ) -> None:
     """Run or tune a study into a directory and print its report.
 
-    Args:
-        config: study file.
-        changes: of the study, ``section.key=value``.
-        files: record and reference of a recorded study.
-        devices: threads that run the compiled program; None for all cores.
-        full: whether to print all tables.
-        tunes: whether to tune the study.
-        scheduler: address of a Dask scheduler; None for this process alone.
-        options: fields of `RunOptions`.
-
-    Raises:
-        InputError: the study cannot be run with these options.
+    The arguments are options of commands: the changes ``section.key=value``, the files of a record
+    and its reference, and the others those of `prepare.load_job`.
     """
-    from sinsjax.execution import forecast
-    from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.execution.prepare import prepare_job
     from sinsjax.execution.progress import show_progress
     from sinsjax.execution.run import run_job
     from sinsjax.study.changes import parse_changes
@@ -59,12 +48,12 @@ def run_study(
         raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
     runtime.configure(devices)
     runtime.start_backend()
-    file = config.name if config.is_absolute() else config.as_posix()
-    source = f"{file} with {', '.join(changes)}" if changes else config
-    prepare, given = prepare_tuning if tunes else prepare_job, RunOptions(source=source, **options)
-    job, terminal = prepare(config, parse_changes(changes or ()), *files, given), plain_console()
+    if changes:
+        file = config.name if config.is_absolute() else config.as_posix()
+        options["source"] = f"{file} with {', '.join(changes)}"
+    prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
+    job = prepare(config, parse_changes(changes or ()), *files, **options)
     assert job.directory is not None and job.forecast is not None
-    done = forecast.count_stored_runs(job.directory) if job.resume and not tunes else 0
     with ExitStack() as stack:
         executor, cores = None, devices or cores
         if scheduler is not None:
@@ -72,8 +61,7 @@ def run_study(
 
             executor = stack.enter_context(cluster.executor(scheduler=scheduler))
             cores = executor.facts["threads"]  # known only now
-        plan = job.forecast.describe(cores, done, threads=executor is not None)
-        print_line(terminal, f"{plan}.")
+        print_line(terminal, job.forecast.describe(cores))
         for line in job.warnings:
             print_warning(line)
         for line in job.notes:

@@ -137,7 +137,7 @@ def validate(config: Config, changes: Changes = None) -> None:
 
 def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     """Return the planned runs of a study and their cost: steps, time, memory and disk."""
-    from sinsjax.execution.prepare import RunOptions, prepare_job
+    from sinsjax.execution.prepare import prepare_job
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_study
@@ -155,14 +155,11 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
-    if study.tune:
-        job = prepare_tuning(config, overrides, None, None, RunOptions())
-    else:
-        job = prepare_job(config, overrides, options=RunOptions())
+    job = (prepare_tuning if study.tune else prepare_job)(config, overrides)
     expected = job.forecast
     assert expected is not None
     steps = expected.length_s * study.rate_hz
-    lines.append(f"{expected.describe(runtime.usable_cores())}.")
+    lines.append(expected.describe(runtime.usable_cores()))
     lines.append(f"Up to {steps:,.0f} steps per run, {steps * expected.runs:,.0f} in total.")
     return [*lines, *(f"Warning: {line}" for line in job.warnings)]
 

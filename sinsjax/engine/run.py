@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine import metrics, passes
+from sinsjax.engine import metrics
 from sinsjax.engine.inputs import (
     Draw,
     Environment,
@@ -27,11 +27,11 @@ from sinsjax.engine.inputs import (
     map_draws,
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
-from sinsjax.engine.passes import PassReading
 from sinsjax.engine.samples import SensorState, TileSensors
 from sinsjax.engine.stepping import Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
+from sinsjax.methods import passes
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.method import (
     AttitudeCovariance,
@@ -40,6 +40,7 @@ from sinsjax.methods.method import (
     earth_floor,
     unknown_covariance,
 )
+from sinsjax.methods.passes import PassReading
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3

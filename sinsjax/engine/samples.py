@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine import passes
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
-from sinsjax.engine.passes import PassReading
 from sinsjax.engine.stepping import Blocks
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
+from sinsjax.methods import passes
+from sinsjax.methods.passes import PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances

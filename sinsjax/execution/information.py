@@ -31,7 +31,6 @@ from sinsjax.engine.scenario import (
     read_sways,
 )
 from sinsjax.errors import InputError
-from sinsjax.execution.tables import make_table
 from sinsjax.maths.rotations import matrix
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.platform import runtime
@@ -57,7 +56,6 @@ _COLUMNS = (
     columns.CURVES[1],
     columns.column("bound_u_arcmin", "least 1 sigma of phi_u of any unbiased estimator"),
 )
-"""Columns of `information_bound`."""
 
 
 def information_bound(study: Study | str | Path) -> pa.Table:
@@ -97,30 +95,23 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     scenario, ends = Scenario(study), study.spans_s[:, 0]
     swept = [key for key in study.axis_keys if key in ENVIRONMENT_KEYS]
     codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
-    bounds: dict[tuple[int, float], dict[float, float]] = {}
+    bounds: dict[tuple[int, float], list[tuple[float, float]]] = {}
     rows: list[tuple[int, float, float]] = []
     for part, ids in enumerate(scenario.variant_ids):
-        for variant in ids:
-            key = int(codes[variant]), float(ends[variant])
-            if key not in bounds:
-                times = sorted({*(t for t in study.report_times_s if t < key[1]), key[1]})
-                sigmas = heading_bound(times, _heading_problem(scenario, part)) / ARCMIN
-                bounds[key] = dict(zip(times, sigmas, strict=True))
-            rows += [(int(variant), time, sigma) for time, sigma in bounds[key].items()]
-    names = (c.name for c in _COLUMNS)
-    values = zip(
-        names, (np.array(column) for column in zip(*sorted(rows), strict=True)), strict=True
-    )
-    return make_table(_COLUMNS, dict(values))
+        base = int(codes[ids[0]]), float(ends[ids[0]])  # of all variants of a part
+        if base not in bounds:
+            times = sorted({*(t for t in study.report_times_s if t < base[1]), base[1]})
+            sigmas = heading_bound(times, _heading_problem(scenario, part)) / ARCMIN
+            bounds[base] = list(zip(times, sigmas, strict=True))
+        rows += [(variant, *row) for variant in ids for row in bounds[base]]
+    values = [pa.array(column) for column in zip(*sorted(rows), strict=True)]
+    return pa.Table.from_arrays(values, schema=columns.arrow_schema(_COLUMNS))
 
 
 def budget_problem(study: Study) -> HeadingProblem:
     """Return the problem of a study of one variant, whose heading is judged from the true one.
 
     Of the motion only turns are taken: sways do not matter to the bound.
-
-    Raises:
-        InputError: see `information_bound`.
     """
     runtime.ensure_configured()
     _check_bound_applies(study)
@@ -219,14 +210,10 @@ def _check_bound_applies(study: Study) -> None:
     if study.is_recorded:
         raise InputError("[record]: the information bound needs the noise of a simulation")
     if study.passes:
-        text = (
-            "repeated passes add no information (drop [passes]; duration_s is the record's length)"
-        )
-        raise InputError(f"[passes]: {text}")
+        raise InputError("[passes]: repeated passes add no information (drop [passes])")
     for key in study.drawn_keys:
+        text = "the information bound needs a fixed value"
         if key in _CONSTANT_KEYS and laws[key].normal is None:
-            text = "the information bound needs a fixed value or a normal distribution"
-            raise InputError(f"[drawn] {key}: {text}")
+            raise InputError(f"[drawn] {key}: {text} or a normal distribution")
         if key in ENVIRONMENT_KEYS and key not in _CONSTANT_KEYS:
-            text = "the information bound needs a fixed value (sweep it instead of drawing it)"
-            raise InputError(f"[{SECTION_OF[key]}] {key}: {text}")
+            raise InputError(f"[{SECTION_OF[key]}] {key}: {text} (sweep it instead of drawing it)")

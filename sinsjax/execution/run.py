@@ -10,49 +10,17 @@ from typing import Any
 
 import pyarrow as pa
 
-from sinsjax import columns
 from sinsjax.errors import StudyInterrupted
-from sinsjax.execution import resume, schemas, stopping
+from sinsjax.execution import stopping
 from sinsjax.execution.directory import Manifest
-from sinsjax.execution.prepare import RunOptions, issue_warnings, prepare_job
+from sinsjax.execution.prepare import issue_warnings, prepare_job
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results
-from sinsjax.execution.store import DirectoryStore
+from sinsjax.execution.store import DirectoryStore, open_store
 from sinsjax.execution.tasks import Executor, Job, Task, TaskResult, TaskRunner, local_executor
 from sinsjax.platform import runtime
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.load import load_study
 from sinsjax.study.study import Study
-
-MAX_CURVE_RUNS = 1024
-"""Largest number of runs whose curves are all stored by default."""
-
-
-class MemorySink:
-    """The tables of a job in memory, with the methods of `DirectoryStore` that a job needs."""
-
-    def __init__(self) -> None:
-        self._tables: dict[str, list[pa.Table]] = {}
-
-    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
-        """Return all tasks."""
-        return list(tasks)
-
-    def add_result(self, result: TaskResult) -> None:
-        """Keep the tables of one task."""
-        for name, table in result.content.items():
-            self._tables.setdefault(name, []).append(table)
-
-    def read_summary(self, names: list[str]) -> pa.Table:
-        """Return some columns of all rows of the summary."""
-        return self.tables()["summary"].select(names)
-
-    def finish(self, state: str, **facts: Any) -> None:
-        """Do nothing."""
-
-    def tables(self) -> dict[str, pa.Table]:
-        """Return the rows of all tasks by dataset, in any order."""
-        return {name: pa.concat_tables(tables) for name, tables in self._tables.items()}
 
 
 def run(
@@ -87,9 +55,7 @@ def run(
         >>> results.summary.select(["case", "reset_count"]).slice(2, 1).to_pylist()
         [{'case': 'condition 5 with resets', 'reset_count': 3}]
     """
-    study = load_study(study)
-    options = RunOptions(curves=curves, chunk_runs=chunk_runs)
-    job = issue_warnings(prepare_job(study, None, record, None, options))
+    job = issue_warnings(prepare_job(study, None, record, curves=curves, chunk_runs=chunk_runs))
     return _run_to_results(job, progress, on_progress)
 
 
@@ -141,10 +107,8 @@ def align(
         >>> [round(heading) for heading in results.summary["heading_deg"].to_pylist()]
         [359]
     """
-    max_curve_runs = MAX_CURVE_RUNS if curves is None else None
-    options = RunOptions(curves=curves, max_curve_runs=max_curve_runs)
-    study = load_study(study, overrides)  # here, to warn about keys that a change drops
-    job = issue_warnings(prepare_job(study, None, record, reference, options))
+    options = {"curves": curves, "keeps_few_curves": curves is None}
+    job = issue_warnings(prepare_job(study, overrides, record, reference, **options))
     return _run_to_results(job, progress, on_progress)
 
 
@@ -161,7 +125,6 @@ def run_into(  # noqa: PLR0913
     progress: bool | None = None,
     on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
-    source: Path | str | None = None,
 ) -> Results:
     """Run a study into a directory, one Parquet part per chunk.
 
@@ -178,7 +141,6 @@ def run_into(  # noqa: PLR0913
             two seconds.
         on_progress: called with the progress before the first chunk and after every one.
         stop: event that ends the study after the running chunks.
-        source: label of the study in the manifest; None for its file.
 
     Returns:
         The results, read from the directory when needed.
@@ -196,16 +158,14 @@ def run_into(  # noqa: PLR0913
         >>> sinsjax.read_summary("out").num_rows
         6
     """
-    options = RunOptions(
-        directory, curves, None, chunk_runs, overwrite=overwrite, resume=resume, source=source
-    )
-    began = time.monotonic()
-    job = issue_warnings(prepare_job(study, None, record, None, options))
+    began, path = time.monotonic(), Path(directory)
+    options: dict[str, Any] = {"curves": curves, "chunk_runs": chunk_runs}
+    options |= {"directory": path, "overwrite": overwrite, "resume": resume}
+    job = issue_warnings(prepare_job(study, None, record, **options))
     with python_progress(job.study.name, progress, on_progress) as show:
         run_job(job, executor=executor, on_progress=show, stop=stop)
-    assert job.directory is not None
-    manifest = Manifest.read(job.directory)
-    return Results(job.study, time.monotonic() - began, directory=job.directory, manifest=manifest)
+    took_s = time.monotonic() - began
+    return Results(job.study, took_s, directory=path, manifest=Manifest.read(path))
 
 
 def run_job(
@@ -215,104 +175,87 @@ def run_job(
     on_progress: ProgressCallback | None = None,
     stop: threading.Event | None = None,
 ) -> None:
-    """Run a prepared job into its directory.
-
-    Args:
-        job: prepared job with a directory.
-        executor: runs the tasks; None for all devices of this process.
-        on_progress: called with the progress before the first chunk and after every one.
-        stop: event that ends the job after the running chunks.
-
-    Raises:
-        InputError: the directory cannot be written, or results there were computed with another
-            instruction set.
-        StudyInterrupted: ``stop`` was set; the running chunks have been stored.
-    """
-    assert job.directory is not None
+    """Run a prepared job into its directory, with the arguments and errors of `run_into`."""
     executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
-    if job.resume:
-        resume.check_instruction_set(job.directory, session["instructions"])
     runner = TaskRunner(job)
-    store = DirectoryStore(job, session)
-    try:
+    with open_store(job, session) as store:
         _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
-    finally:
-        store.unlock()
+
+
+class _MemorySink:
+    """The tables of a job in memory, in place of a `DirectoryStore`."""
+
+    def __init__(self) -> None:
+        self._contents: list[dict[str, pa.Table]] = []
+
+    def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
+        return list(tasks)
+
+    def add_result(self, result: TaskResult) -> None:
+        self._contents.append(result.content)
+
+    def read_summary(self, names: list[str]) -> pa.Table:
+        return self.table("summary").select(names)
+
+    def finish(self, state: str, **facts: Any) -> None:
+        pass
+
+    def table(self, name: str) -> pa.Table:
+        """Return the rows of a dataset, in any order."""
+        return pa.concat_tables(content[name] for content in self._contents)
 
 
 def _run_to_results(
     job: Job, progress: bool | None, on_progress: ProgressCallback | None
 ) -> Results:
     """Run a job in memory."""
-    began, sink = time.monotonic(), MemorySink()
+    began, sink, runner = time.monotonic(), _MemorySink(), TaskRunner(job)
     with python_progress(job.study.name, progress, on_progress) as show:
-        _run_tasks(TaskRunner(job), sink, local_executor(), show, threading.Event())
-    tables, order = sink.tables(), [("run_id", "ascending"), ("time_s", "ascending")]
-    curves = tables.get(
-        "curves", columns.arrow_schema(schemas.curve_columns(job.study)).empty_table()
-    )
-    tables |= {"summary": tables["summary"].sort_by("run_id"), "curves": curves.sort_by(order)}
+        _run_tasks(runner, sink, local_executor(), show, threading.Event())
+    tables = {"summary": sink.table("summary").sort_by("run_id")}
+    if "curves" in runner.schemas:
+        order = [("run_id", "ascending"), ("time_s", "ascending")]
+        tables["curves"] = sink.table("curves").sort_by(order)
     return Results(job.study, time.monotonic() - began, tables=tables)
 
 
 def _run_tasks(
     runner: TaskRunner,
-    sink: DirectoryStore | MemorySink,
+    sink: DirectoryStore | _MemorySink,
     executor: Executor,
     on_progress: ProgressCallback | None,
     stop: threading.Event,
 ) -> None:
     """Run the tasks that a sink lacks, stage by stage."""
-    study, tasks_by_stage = runner.job.study, runner.plan_tasks()
-    missing = set(sink.missing_tasks(chain.from_iterable(tasks_by_stage)))
-    done = sum(task.runs for task in chain.from_iterable(tasks_by_stage) if task not in missing)
-    progress = _ProgressReport(
-        RunProgress(done, study.n_draws * study.n_variants, 0, done), on_progress
-    )
+    study, stages = runner.job.study, runner.plan_tasks()
+    missing, total = set(sink.missing_tasks(chain(*stages))), study.n_draws * study.n_variants
+    done = total - sum(task.runs for task in missing)
+    now, show = RunProgress(done, total, 0, done), on_progress or (lambda progress: None)
+    show(now)
     with closing(runner):
-        for draws, tasks in zip(runner.stages, tasks_by_stage, strict=True):
+        for draws, tasks in zip(runner.stages, stages, strict=True):
             pending = [task for task in tasks if task in missing]
-            ready: Iterable[Task] = pending
             if executor.local:
-                ready = runner.compile_ahead(pending, progress.set_programs)
-            for result in executor.run_tasks(runner, takewhile(lambda _: not stop.is_set(), ready)):
+                runner.compile(pending)
+            ready = takewhile(lambda _: not stop.is_set(), pending)
+            for result in executor.run_tasks(runner, ready):
                 sink.add_result(result)
                 missing.remove(result.task)
-                progress.add_result(result)
+                done, failures = now.done + result.task.runs, (now.failures or 0) + result.failures
+                now = now._replace(done=done, failures=failures)
+                show(now)
             if not missing.isdisjoint(pending):
                 sink.finish("interrupted")
-                now = progress.now
                 where = runner.job.directory
-                raise StudyInterrupted(f"{now.done:,} of {now.total:,} runs are in {where}")
+                raise StudyInterrupted(f"{now.done:,} of {total:,} runs are in {where}")
             if _may_stop(study, sink, draws):
                 break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)
 
 
-def _may_stop(study: Study, sink: DirectoryStore | MemorySink, draws: range) -> bool:
+def _may_stop(study: Study, sink: DirectoryStore | _MemorySink, draws: range) -> bool:
     if study.stop_when is None or draws.stop not in stopping.interim_draws(study):
         return False
     rows = sink.read_summary(stopping.required_columns(study))
     return stopping.widest_half_width(study, rows, draws.stop) <= study.stop_when.half_width
-
-
-class _ProgressReport:
-    """The progress of a job; reports from several threads follow one another."""
-
-    def __init__(self, now: RunProgress, on_progress: ProgressCallback | None) -> None:
-        self.now, self._on_progress = now, on_progress or (lambda progress: None)
-        self._lock = threading.Lock()
-        self._on_progress(now)
-
-    def set_programs(self, compiled: int, programs: int) -> None:
-        self._report(compiled=compiled, programs=programs)
-
-    def add_result(self, result: TaskResult) -> None:
-        failures = (self.now.failures or 0) + result.failures
-        self._report(done=self.now.done + result.task.runs, failures=failures)
-
-    def _report(self, **changes: Any) -> None:
-        with self._lock:
-            self.now = self.now._replace(**changes)
-            self._on_progress(self.now)

@@ -31,16 +31,11 @@ class DamagedError(InputError):
 def to_sealed_json(content: Mapping[str, Any]) -> bytes:
     """Return a JSON object as text, sealed by its last entry."""
     text = json.dumps({**content, SEAL_KEY: _BLANK_DIGEST}, indent=1, allow_nan=False)
-    return _fill_seal(f"{text}\n".encode())
+    return _seal(f"{text}\n".encode())
 
 
 def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return a table as a sealed Parquet file; equal rows and metadata give equal bytes.
-
-    Args:
-        table: the rows, with the metadata of its schema.
-        extra_metadata: further entries of the file's metadata.
-    """
+    """Return a table as a sealed Parquet file with more metadata; equal ones give equal bytes."""
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     metadata.pop(SEAL_KEY, None)  # that of the file from which the rows were read
     schema = table.schema.with_metadata(metadata | dict(extra_metadata or {}))
@@ -51,71 +46,41 @@ def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None 
         writer.write_table(table.replace_schema_metadata(schema.metadata))
         # In the footer only: the schema would store a second copy, in another encoding.
         writer.add_key_value_metadata({SEAL_KEY: _BLANK_DIGEST})
-    return _fill_seal(sink.getvalue().to_pybytes())
+    return _seal(sink.getvalue().to_pybytes())
 
 
 def read_sealed_json(path: Path) -> dict[str, Any]:
-    """Read a sealed JSON object.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        DamagedError: it has changed since it was written, or is no sealed JSON object.
-        InputError: it is no regular file, or cannot be read.
-    """
-    content = _read_intact(path)
-    try:
-        entries = json.loads(content)
-    except (ValueError, RecursionError) as error:  # a seal within other text
-        raise DamagedError(f"{path}: is not a JSON object") from error
-    if not isinstance(entries, dict):
-        raise DamagedError(f"{path}: is not a JSON object")
+    """Read a sealed JSON object, or raise as `read_sealed_parquet`."""
+    entries: dict[str, Any] = json.loads(_read_intact(path))
     return entries
 
 
 def read_sealed_parquet(path: Path) -> pa.Table:
-    """Read a sealed Parquet file, whose seal is among the metadata of its schema.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        DamagedError: it has changed since it was written, or is no sealed Parquet file.
-        InputError: it is no regular file, or cannot be read.
-    """
-    try:
-        return pq.read_table(pa.BufferReader(_read_intact(path)))
-    except pa.ArrowException as error:  # a seal within other content
-        raise DamagedError(f"{path}: is not a Parquet file") from error
+    """Read a sealed Parquet file; `DamagedError`, `FileNotFoundError` or another `InputError`."""
+    return pq.read_table(pa.BufferReader(_read_intact(path)))
 
 
 def is_intact(content: bytes) -> bool:
     """Return whether a file's content matches its seal; False without one."""
-    seal = _find_seal(content)
-    return seal is not None and seal[1].decode() == _digest(content, seal)
+    return content != b"" and _seal(content) == content
 
 
 def _read_intact(path: Path) -> bytes:
     content = read_regular_file(path)
     if not is_intact(content):
-        raise DamagedError(
-            f"{path}: has changed since it was written (its checksum does not match)"
-        )
+        text = "has changed since it was written (its checksum does not match)"
+        raise DamagedError(f"{path}: {text}")
     return content
 
 
-def _fill_seal(content: bytes) -> bytes:
-    seal = _find_seal(content)
-    assert seal is not None
-    return content[: seal.start(1)] + _digest(content, seal).encode() + content[seal.end(1) :]
-
-
-def _find_seal(content: bytes) -> re.Match[bytes] | None:
-    """Return the match of the seal, the last one in the content; None without a seal."""
+def _seal(content: bytes) -> bytes:
+    """Return content with the SHA-256 of all the rest in its last seal; nothing without one."""
     start = content.rfind(SEAL_KEY.encode())
-    return _SEAL.match(content, start) if start >= 0 else None
-
-
-def _digest(content: bytes, seal: re.Match[bytes]) -> str:
-    """Return the SHA-256 of the content with a blank seal, as hex digits."""
-    digest = hashlib.sha256(memoryview(content)[: seal.start(1)])
+    seal = _SEAL.match(content, start) if start >= 0 else None
+    if seal is None:
+        return b""
+    before, after = memoryview(content)[: seal.start(1)], memoryview(content)[seal.end(1) :]
+    digest = hashlib.sha256(before)
     digest.update(_BLANK_DIGEST.encode())
-    digest.update(memoryview(content)[seal.end(1) :])
-    return digest.hexdigest()
+    digest.update(after)
+    return b"".join([before, digest.hexdigest().encode(), after])

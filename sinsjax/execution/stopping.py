@@ -8,7 +8,7 @@ import math
 
 import pyarrow as pa
 
-from sinsjax import columns as result_columns
+from sinsjax import columns
 from sinsjax.study import success
 from sinsjax.study.study import Study
 
@@ -18,32 +18,24 @@ FIRST_INTERIM = 64
 
 def interim_draws(study: Study) -> list[int]:
     """Return the numbers of draws at the interim analyses; the last is the maximum."""
-    if study.stop_when is None:
-        return [study.n_draws]
-    ends = [FIRST_INTERIM]
+    ends = [FIRST_INTERIM if study.stop_when else study.n_draws]
     while ends[-1] < study.n_draws:
         ends.append(2 * ends[-1])
     return [*ends[:-1], study.n_draws]
 
 
 def required_columns(study: Study) -> list[str]:
-    """Return the columns of the summary that an interim analysis needs."""
-    assert study.stop_when is not None
-    return ["run_id", "draw_id", "variant_id", _statistic_column(study)]
-
-
-def _statistic_column(study: Study) -> str:
-    """Return the column of the statistic, about truth or floor as the success criterion demands."""
+    """Return the columns of the summary that an interim analysis needs, that of its value last."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
     if name == "success_rate":
-        return "status"
+        return ["run_id", "draw_id", "variant_id", "status"]
     truth = success.success_criteria(study).from_truth
-    return next(
-        result_columns.settle_column(band, truth=truth).name
+    bands = {
+        f"{columns.settle_column(band).name}_mean": columns.settle_column(band, truth=truth).name
         for band in success.settling_bands(study)
-        if name == f"{result_columns.settle_column(band).name}_mean"
-    )
+    }
+    return ["run_id", "draw_id", "variant_id", bands[name]]
 
 
 def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
@@ -60,7 +52,7 @@ def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
     from sinsjax import analysis
 
     rows = table.filter(pa.compute.less(table["draw_id"], draws)).sort_by("run_id")
-    column, widest = _statistic_column(study), 0.0
+    column, widest = required_columns(study)[-1], 0.0
     for _, runs in analysis.group_rows(rows, ["variant_id"]):
         if column == "status":
             estimate = analysis.share(analysis.status_mask(runs, "ok"))

@@ -1,4 +1,4 @@
-"""Storage of a job's results in a directory while its chunks are computed.
+"""Storage of a job's results in a directory while its chunks are computed, and their continuation.
 
 Every file of a directory is written under a temporary name, synced and renamed, so a sweep killed
 at any point leaves only complete parts. A part contains its own checksum, study and chunk: it is
@@ -6,7 +6,8 @@ valid without the manifest, which has what all parts have in common.
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,93 +16,111 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import directory as results_directory
-from sinsjax.execution import resume
+from sinsjax.execution import directory as places
 from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, Manifest
 from sinsjax.execution.results import read_part_metadata
 from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job, Task, TaskResult, part_metadata
+from sinsjax.messages import shorten
+from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
-from sinsjax.platform.files import atomic_write, make_folder, read_regular_file, unwritable_message
-from sinsjax.study.identity import fingerprint, sections_to_json
+from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
+from sinsjax.study.identity import (
+    describe_differences,
+    fingerprint,
+    sections_to_json,
+    with_draws,
+)
 from sinsjax.study.load import study_to_toml
 
 _MANIFEST_EVERY_S = 1.0
 
 
-class DirectoryStore:
-    """The only writer of a results directory.
+def continue_job(job: Job) -> Job:
+    """Return the job as a continuation of the results in its directory, if there are any.
 
-    Attributes:
-        directory: results directory.
+    It keeps their runs per chunk and choice of curves. If it has more draws, it is marked as
+    extended. Results of another study or record are refused.
     """
+    assert job.directory is not None
+    manifest = Manifest.find(job.directory)
+    if manifest is None:
+        return job
+    ends, study, stored = {*manifest.extended_at}, job.study, manifest.draws or 0
+    if manifest.fingerprint != fingerprint(study):
+        if not 0 < stored <= (study.study.draws or 0) or (
+            fingerprint(with_draws(study, stored)) != manifest.fingerprint
+        ):
+            text = "; ".join(describe_differences(manifest.study, study))
+            raise InputError(f"{job.directory}: contains results of another study: {text}")
+        ends.add(stored)
+    job = job._replace(
+        curves=manifest.curves, chunk_runs=manifest.chunk_runs, extended_at=tuple(sorted(ends))
+    )
+    if manifest.identity != job.identity:
+        raise InputError(f"{job.directory}: contains results of another record or reference")
+    return job
 
-    def __init__(self, job: Job, facts: Mapping[str, Any]) -> None:
-        """Lock and prepare the directory of a job.
 
-        Args:
-            job: prepared job with a directory.
-            facts: manifest entries about the machines of this session.
+def _check_environment(job: Job, manifest: Manifest, session: Mapping[str, Any]) -> None:
+    """Reject rows of other versions or another instruction set: last bits differ, and grow."""
+    names = (*runtime.RESULT_PACKAGES, *packages_of(job.study.methods))
+    used = [(name, manifest.versions.get(name), session["versions"][name]) for name in names]
+    used.append(("instruction set", manifest.instructions, session["instructions"]))
+    for name, there, here in used:
+        if there not in (None, here):
+            raise InputError(
+                f"{job.directory}: was computed with {name} {shorten(there)}, but here is {here}"
+                " (install that version, set XLA_FLAGS=--xla_cpu_max_isa for an instruction set, or"
+                " give --overwrite)"
+            )
 
-        Raises:
-            InputError: the directory cannot be written, has another writer, or had one since the
-                job was prepared.
-        """
-        assert job.directory is not None
-        self.directory = job.directory
-        self._job, self._identity, self._facts = job, job.identity, dict(facts)
-        self._started_s = round(time.time(), 3)
-        self._start_s, self._earlier_s = time.monotonic(), 0.0
-        self._done: dict[str, Task] = {}
-        self._next_manifest = 0.0
-        self._lock = results_directory.lock_directory(self.directory)
-        try:
-            self._prepare_directory()
-        except BaseException:
-            self.unlock()
-            raise
 
-    def _prepare_directory(self) -> None:
-        job = self._job  # checked again, since the directory may have changed before it was locked
-        resume.check_available(self.directory, overwrite=job.overwrite, resume=job.resume)
-        if job.resume and resume.continue_job(job) != job:
+@contextmanager
+def open_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore"]:
+    """Lock and prepare the directory of a job, for the duration of a ``with`` block.
+
+    ``session`` has manifest entries about the machines of this session.
+    """
+    assert job.directory is not None
+    lock = places.lock_directory(job.directory)
+    try:
+        # Again, since the directory may have changed before it was locked.
+        places.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        if job.resume and continue_job(job) != job:
             text = "another process has just written there (run again)"
-            raise InputError(f"{self.directory}: {text}")
-        _remove_files(results_directory.stale_temp_files(self.directory))
+            raise InputError(f"{job.directory}: {text}")
+        store = DirectoryStore(job, session)
+        places.remove_files(places.stale_temp_files(job.directory))
         if not job.resume:
-            _remove_files(results_directory.owned_files(self.directory))
-        if job.resume and (manifest := Manifest.find(self.directory)):
-            self._started_s = manifest.started_unix_s or self._started_s
-            self._earlier_s = manifest.wall_s or 0.0
-        else:
-            # First, to mark the files of a killed run as results.
-            self._write_manifest("running")
-            self._write_study()
+            places.remove_files(places.owned_files(job.directory))
+        yield store
+    finally:
+        lock.release()
 
-    def _write_study(self) -> None:
-        _write_file(self.directory / STUDY, study_to_toml(self._job.study).encode())
 
-    def unlock(self) -> None:
-        """Unlock the directory."""
-        self._lock.release()
+class DirectoryStore:
+    """The only writer of a results directory, see `open_store`."""
+
+    def __init__(self, job: Job, session: Mapping[str, Any]) -> None:
+        """Continue the results in a locked directory, or begin new ones."""
+        assert job.directory is not None
+        self._job, self._directory, self._identity = job, job.directory, job.identity
+        self._facts, self._done, self._next_manifest = dict(session), dict[str, Task](), 0.0
+        before = Manifest.find(job.directory) if job.resume else None
+        if before:
+            _check_environment(job, before, session)
+        self._started_s = before.entries.get("started_unix_s") if before else round(time.time(), 3)
+        self._start_s = time.monotonic() - ((before and before.wall_s) or 0.0)
 
     def missing_tasks(self, tasks: Iterable[Task]) -> list[Task]:
-        """Return the tasks without complete parts; remove parts of unknown or incomplete tasks.
-
-        Args:
-            tasks: all tasks of the study.
-
-        Raises:
-            InputError: the directory cannot be written.
-        """
+        """Return the tasks without complete parts; remove parts of unknown or incomplete tasks."""
         planned = list(tasks)
         self._done = {task.name: task for task in planned if self._is_stored(task)}
-        parts = (
-            path for name in DATASETS for path in results_directory.list_parts(self.directory, name)
-        )
-        _remove_files(path for path in parts if path.stem not in self._done)
-        self._write_manifest("running")
-        self._write_study()  # last: an extension missing in the manifest can be requested again
+        parts = (path for name in DATASETS for path in places.list_parts(self._directory, name))
+        places.remove_files(path for path in parts if path.stem not in self._done)
+        self._write_manifest("running")  # first, to mark the files of a killed run as results
+        _write_file(self._directory / STUDY, study_to_toml(self._job.study).encode())
         return [task for task in planned if task.name not in self._done]
 
     def _is_stored(self, task: Task) -> bool:
@@ -117,11 +136,7 @@ class DirectoryStore:
         return True
 
     def add_result(self, result: TaskResult) -> None:
-        """Write the parts of one task.
-
-        Raises:
-            InputError: the directory cannot be written.
-        """
+        """Write the parts of one task."""
         for dataset, _ in result.task.rows:
             path = self._part_path(dataset, result.task)
             make_folder(path.parent)
@@ -136,17 +151,12 @@ class DirectoryStore:
         return pa.concat_tables([pq.ParquetFile(path).read(columns=names) for path in paths])
 
     def finish(self, state: str, **facts: Any) -> None:
-        """Write the last manifest of this session.
-
-        Args:
-            state: "complete" or "interrupted".
-            facts: further entries.
-        """
+        """Write the last manifest of this session, "complete" or "interrupted", with more facts."""
         self._facts |= facts
         self._write_manifest(state)
 
     def _part_path(self, dataset: str, task: Task) -> Path:
-        return self.directory / dataset / f"{task.name}.parquet"
+        return self._directory / dataset / f"{task.name}.parquet"
 
     def _write_manifest(self, state: str) -> None:
         job, study = self._job, self._job.study
@@ -167,45 +177,25 @@ class DirectoryStore:
             "record_latitude_deg": None if record is None else record.latitude_deg,
             "warnings": job.warnings,
             "started_unix_s": self._started_s,
-            "wall_s": round(self._earlier_s + time.monotonic() - self._start_s, 3),
+            "wall_s": round(time.monotonic() - self._start_s, 3),
             **self._facts,
             "study": sections_to_json(study),
         }
-        _write_file(self.directory / MANIFEST, to_sealed_json(entries))
+        _write_file(self._directory / MANIFEST, to_sealed_json(entries))
         self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
 
 
 def write_table(job: Job, summary: pa.Table) -> None:
-    """Write a summary that was made elsewhere as the results of a job.
-
-    Args:
-        job: job with a directory, without curves.
-        summary: one row per run, with the columns of the study's summary.
-
-    Raises:
-        InputError: the directory cannot be written, has another writer, or had one since the job
-            was prepared.
-    """
+    """Write a summary that was made elsewhere as the results of a job without curves."""
     rows = (("summary", len(summary)),)
     task = Task("part-0000-000000", 0, (0, job.study.n_draws), 0, len(summary), rows)
     content = to_sealed_parquet(summary, part_metadata(job, job.identity, "summary", task))
-    store = DirectoryStore(job, runtime.describe_environment())
-    try:
+    with open_store(job, runtime.describe_environment()) as store:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))
         store.finish("complete")
-    finally:
-        store.unlock()
 
 
 def _write_file(path: Path, content: bytes) -> None:
     with atomic_write(path) as file:
         file.write(content)
-
-
-def _remove_files(paths: Iterable[Path]) -> None:
-    for path in paths:
-        try:
-            path.unlink()
-        except OSError as error:
-            raise InputError(unwritable_message(path, error)) from error

@@ -29,7 +29,6 @@ MOST_SHARED = 5 * ARCMIN
 """Largest part of one sigma of heading taken for gyro bias with which the floor holds, rad."""
 
 _ANGLES = ("pitch", "roll", "yaw")
-_MOST_EXAMINED = 4096  # runs of which a missing floor is looked for, beyond a draw of each variant
 
 
 class RunSuccess(NamedTuple):
@@ -58,15 +57,9 @@ def evaluate_success(
     has_truth: bool = True,
     finds_heading: bool = True,
 ) -> RunSuccess:
-    """Return the success of some runs.
+    """Return the success of runs, leaves (runs, ...), of the lengths ``end_s``, with bias floors.
 
-    Args:
-        study: with the criteria of a success.
-        outcome: of the engine, leaves (runs, ...).
-        floors: (runs,) whether a run has a bias floor.
-        end_s: (runs,) lengths, s.
-        has_truth: whether there is a truth; without one only non-finite runs are known.
-        finds_heading: whether their method finds a heading; otherwise none is a success.
+    Without a truth only non-finite runs are known; without a heading none is a success.
     """
     criteria = success_criteria(study)
     outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
@@ -119,20 +112,14 @@ def last_scheduled_reset_s(study: Study) -> np.ndarray:
 def has_floor(
     study: Study, draw_ids: np.ndarray, variant_ids: np.ndarray, last_reset_s: np.ndarray
 ) -> np.ndarray:
-    """Return whether runs have the bias floor of `methods.floors`, (runs,) bool.
+    """Return whether runs, (runs,), have the bias floor of `methods.floors`, bool.
 
     Biases rotated by a sway need `LEAST_PERIODS` of it since the last reset (and in the stored
     record, if passes repeat). A filter with gyro bias states distinguishes them from the heading
     once the base moves. On a still base it cannot, and has the bias floor of a filter without them
     if P0, and the P of a reset, attribute the east bias to the heading: see `MOST_SHARED`. Some
     methods have no floor, and no run has one whose base is turned. Runs of a recorded study, whose
-    reference is their floor, all have one.
-
-    Args:
-        study: checked study.
-        draw_ids: (runs,).
-        variant_ids: (runs,).
-        last_reset_s: (runs,) time of the last reset, s from the start of the run; 0 for none.
+    reference is their floor, all have one. ``last_reset_s`` is 0 for runs without a reset.
     """
     if study.is_recorded:
         return np.ones(len(variant_ids), bool)
@@ -176,12 +163,8 @@ def _sigma_shared_with_bias(
     """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
 
     Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
-    splits by their variances.
-
-    Args:
-        rate_n: omega_N, rad/s.
-        sigmas: of gyro bias, deg/h, and heading, deg: at the start, then at a reset; where NaN, a
-            reset sets P as at the start.
+    splits by their variances. ``rate_n`` is omega_N, rad/s; the sigmas of gyro bias, deg/h, and
+    heading, deg, are those of the start, then of a reset; where NaN, it sets P as at the start.
     """
     most = np.zeros(len(rate_n))
     for at_reset in sigmas:
@@ -193,31 +176,15 @@ def _sigma_shared_with_bias(
 
 
 def require_floor(study: Study) -> None:
-    """Refuse a study that is judged from a bias floor if some run has none.
-
-    The resets of a trigger are not known yet; draws that differ are examined if they are few.
-
-    Raises:
-        InputError: names the method.
-    """
+    """Refuse a study that is judged from a bias floor if a variant has none in its first run."""
     if success_criteria(study).from_truth:
         return
-    draws = np.arange(min(study.n_draws, 1 + _MOST_EXAMINED // study.n_variants))
-    variants = np.tile(np.arange(study.n_variants), len(draws))
-    last_s = last_scheduled_reset_s(study)[variants]
-    floors = has_floor(study, np.repeat(draws, study.n_variants), variants, last_s)
-    if floors.all():
-        return
-    variant = int(variants[~floors][0])
-    method = study.values("method")[variant]
-    why = "has no bias floor on this base"
-    if study.values("turn_times_s")[variant] or study.values("attitude_file")[variant]:
-        why = "has no bias floor on a base that is turned"
-    elif METHODS[method].has_floor and not METHODS[method].gyro_bias_keys:
-        why = (
-            "has no bias floor where a sway period exceeds a tenth of the time since the last reset"
+    variants = np.arange(study.n_variants)
+    floors = has_floor(study, 0 * variants, variants, last_scheduled_reset_s(study))
+    if not floors.all():
+        variant = int(variants[~floors][0])
+        method = study.values("method")[variant]
+        raise InputError(
+            f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}' has no"
+            f" bias floor on this base (variant {variant}; use 'truth')"
         )
-    raise InputError(
-        f"{study.name}: [study] judged_from: 'floor' cannot be judged: method '{method}'"
-        f" {why} (variant {variant}; use 'truth')"
-    )

@@ -1,5 +1,9 @@
-"""Conversion of the engine's arrays to result tables; rows depend only on the study."""
+"""Columns of a study's result tables, and their rows from the engine's arrays.
 
+Rows depend only on the study.
+"""
+
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +14,6 @@ from sinsjax.columns import Column
 from sinsjax.engine.batch import Chunk
 from sinsjax.engine.metrics import Observation
 from sinsjax.engine.scenario import start_samples
-from sinsjax.execution import schemas
 from sinsjax.execution.success import (
     FLOOR,
     TRUTH,
@@ -20,14 +23,85 @@ from sinsjax.execution.success import (
     last_scheduled_reset_s,
 )
 from sinsjax.methods.filters.keys import last_triggered_sample
-from sinsjax.methods.method import Method
+from sinsjax.methods.method import Method, OwnColumn
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import sampling
-from sinsjax.study.keys import COARSE_KEYS
+from sinsjax.study.keys import COARSE_KEYS, key_meaning
+from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
+from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.variants import Variants
 from sinsjax.units import ARCMIN, DEG
+
+# --- columns --------------------------------------------------------------------------------------
+
+
+def summary_columns(study: Study) -> tuple[Column, ...]:
+    """Return the columns of the summary, in a time proportional to the total length of the axes."""
+    kinds = [columns.settle_column]
+    if study.passes or study.coarse_stages:
+        kinds.append(columns.settle_data_column)
+    return (
+        *columns.IDENTITY,
+        *_key_columns(study),
+        *columns.OBSERVED,
+        *(k(b, truth=t) for k in kinds for t in (False, True) for b in settling_bands(study)),
+        *(column for t in study.report_times_s for column in columns.report_time_columns(t)),
+        *columns.JUDGED,
+        *(method_column.column for method_column in _method_columns(study).values()),
+    )
+
+
+def curve_columns(study: Study) -> tuple[Column, ...]:
+    """Return the columns of the curves."""
+    return columns.curve_columns(passes=study.passes is not None, coarse=bool(study.coarse_stages))
+
+
+def _key_columns(study: Study) -> list[Column]:
+    """Return the columns of swept and drawn keys, without those of every study."""
+    swept = {key: values for dimension in study.dimensions for key, values in dimension.items()}
+    found = [
+        *(columns.axis_column(k, v, key_meaning(k)) for k, v in swept.items()),
+        *(columns.drawn_column(k, NUMBERS_DRAWN[k], key_meaning(k)) for k in study.drawn_keys),
+    ]
+    known = {c.name for c in columns.IDENTITY}
+    return [column for column in found if column.name not in known]
+
+
+def _method_columns(study: Study) -> dict[str, OwnColumn]:
+    """Return the columns specific to the study's methods, by name; methods may share a column."""
+    methods, keys = [METHODS[n] for n in METHODS if n in study.methods], Variants.all_of(study)
+    return {own.column.name: own for method in methods for own in method.own_columns(keys)}
+
+
+def _variant_columns(study: Study, schema: Iterable[Column]) -> dict[str, pa.Array]:
+    """Return the columns that the study determines, by name, (variants,), in the schema's types."""
+    resets, cycle = study.schedules, study.coded().map(lambda _: None)
+    if study.has("resets"):
+        cycle = study.coded("reset_cycle_s")
+    found = {
+        **{key: study.coded(key) for key in study.axis_keys},
+        "method": study.coded("method"),
+        "reset_count": resets.map(len),
+        "reset_cycle_s": cycle,
+        "reset_times_s": resets.map(list),
+        **{(key := f"phi_{a}0_deg"): study.coded(key) for a in "enu"},
+    }
+    types = {c.name: c.dtype for c in schema}
+    names = found.keys() - {*study.drawn_keys}
+    return {name: _expand_coded(found[name], types[name]) for name in names}
+
+
+def _expand_coded(column: CodedColumn, dtype: pa.DataType) -> pa.Array:
+    """Return the values of a key, one per variant; a number among lists applies to all axes."""
+    codes, choices = column
+    if pa.types.is_list(dtype):
+        choices = tuple([v] if isinstance(v, int | float) else v for v in choices)
+    return pa.array(choices, dtype).take(pa.array(codes))
+
+
+# --- rows -----------------------------------------------------------------------------------------
 
 
 class TableBuilder:
@@ -41,46 +115,35 @@ class TableBuilder:
     def __init__(self, study: Study, *, has_truth: bool = True, curves: bool = False) -> None:
         """Prepare the columns that do not depend on the chunk.
 
-        Args:
-            study: checked study.
-            has_truth: False for a record without a reference; columns that need one are null.
-            curves: whether the chunks have curves.
+        A record without a reference has no truth; columns that need one are null.
         """
         self._study, self._has_truth = study, has_truth
-        self.summary_columns = schemas.summary_columns(study)
-        self.curve_columns = schemas.curve_columns(study)
-        self.schemas = {"curves": self.curve_columns} if curves else {}
-        self.schemas["summary"] = self.summary_columns
+        self.schemas = {"curves": curve_columns(study)} if curves else {}
+        self.schemas["summary"] = summary_columns(study)
         self._end_s, self._pass_s = study.spans_s.T
         self._last_reset_s = last_scheduled_reset_s(study)
         self._before_s = _data_before_start_s(study)
-        self._by_variant = schemas.variant_columns(study, self.summary_columns)
-        self._keys = Variants.all_of(study)
-        self._methods = study.coded("method")
-        self._method_columns = schemas.method_columns(study)
+        self._by_variant = _variant_columns(study, self.schemas["summary"])
+        self._keys, self._methods = Variants.all_of(study), study.coded("method")
+        self._method_columns = _method_columns(study)
         self._start_s = np.zeros(study.n_draws)
-        if study.is_recorded:
-            assert study.record is not None
-            actual_s, given_s = (
-                start_samples(study, study.rate_hz) / study.rate_hz,
-                study.record.start_s,
-            )
+        if study.record is not None:
+            actual_s = start_samples(study, study.rate_hz) / study.rate_hz
+            given_s = study.record.start_s
             # A rate of 99.9999999 Hz, from rounded stamps, must not move a start.
             self._start_s = np.where(np.abs(actual_s - given_s) < 1e-6, given_s, actual_s)
 
     def make_tables(self, chunk: Chunk, variant_ids: np.ndarray) -> dict[str, pa.Table]:
-        """Return the tables of a chunk by dataset; the arguments are those of `summary_table`."""
+        """Return the tables of a chunk by dataset, see `summary_table`."""
         tables = {"summary": self.summary_table(chunk, variant_ids)}
         if "curves" in self.schemas:
-            tables["curves"] = self.curve_table(chunk, variant_ids)
+            tables["curves"] = self._curve_table(chunk, variant_ids)
         return tables
 
     def summary_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the summary of a chunk, one row per run.
 
-        Args:
-            chunk: engine results.
-            variant_ids: (variants of the part,) their numbers in the study.
+        ``variant_ids``, (variants of the program,), are their numbers in the study.
         """
         study, outcome, draw = self._study, chunk.outcome, chunk.draw
         variant = variant_ids[chunk.variant]
@@ -105,19 +168,15 @@ class TableBuilder:
             **self._method_values(chunk, method),
             **_attitude_values(outcome.last),
         }
-
-        def if_floor(value: Any) -> np.ndarray:
-            return np.where(verdict.has_floor, value, np.nan)
-
-        error, floor_error, steady = outcome.above_share
+        share, floor_share, steady_share = outcome.above_share
         errors = {
             **_error_values(outcome.last),
             **self._settling_values(verdict, variant),
-            "p_above_error_share": error,
-            "p_above_floor_error_share": if_floor(floor_error),
-            "p_above_error_steady_share": steady,
-            "floor_arcmin": if_floor(outcome.floor.phi.z / ARCMIN),
-            "nis_u": if_floor(outcome.nis_u),
+            "p_above_error_share": share,
+            "p_above_floor_error_share": np.where(verdict.has_floor, floor_share, np.nan),
+            "p_above_error_steady_share": steady_share,
+            "floor_arcmin": np.where(verdict.has_floor, outcome.floor.phi.z / ARCMIN, np.nan),
+            "nis_u": np.where(verdict.has_floor, outcome.nis_u, np.nan),
             "nees": outcome.nees,
             "has_floor": verdict.has_floor,
             "ok_floor": pa.array(verdict.ok[FLOOR], mask=~verdict.has_floor),
@@ -134,34 +193,29 @@ class TableBuilder:
             phi_name, sigma_name, nees_name = names_at
             values[sigma_name] = sigma / ARCMIN
             errors |= {phi_name: phi / ARCMIN, nees_name: nees}
-        return self._make_table(self.summary_columns, values, errors)
+        return self._make_table("summary", values, errors)
 
-    def curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
+    def _curve_table(self, chunk: Chunk, variant_ids: np.ndarray) -> pa.Table:
         """Return the curves of a chunk that has them, one row per run and record time."""
         study, curves = self._study, chunk.curves
         assert isinstance(curves, Observation)
         run_id = chunk.draw * study.n_variants + variant_ids[chunk.variant]
         codes, spans = study.lengths
-        span = spans[codes[variant_ids[0]]]  # common to all variants of a part
+        span = spans[codes[variant_ids[0]]]  # common to all variants of a program
         time_s = study.update_times(span)
         values = {"run_id": np.repeat(run_id, len(time_s)), "time_s": np.tile(time_s, len(run_id))}
         if study.passes:
             values["update_time_s"] = values["time_s"]
             values["stored_time_s"] = np.tile(study.stored_times(span), len(run_id))
             values["pass"] = np.tile(span.pass_numbers(), len(run_id))
-        values |= _attitude_values(curves)
-        return self._make_table(self.curve_columns, values, _error_values(curves))
+        return self._make_table("curves", values | _attitude_values(curves), _error_values(curves))
 
-    def _make_table(
-        self, schema: tuple[Column, ...], values: dict[str, Any], errors: dict[str, Any]
-    ) -> pa.Table:
+    def _make_table(self, dataset: str, values: dict[str, Any], errors: dict[str, Any]) -> pa.Table:
         """Return a table of values, and of errors, which are null without a truth."""
-        arrays = {name: _to_column(value) for name, value in values.items()}
-        if self._has_truth:
-            arrays |= {name: _to_column(value) for name, value in errors.items()}
-        else:
-            arrays |= dict.fromkeys(errors, pa.nulls(len(arrays["run_id"])))
-        return make_table(schema, arrays)
+        if not self._has_truth:
+            errors = dict.fromkeys(errors, pa.nulls(len(values["run_id"])))
+        arrays = {name: _to_column(value) for name, value in (values | errors).items()}
+        return make_table(self.schemas[dataset], arrays)
 
     def _drawn_values(self, draw: np.ndarray) -> dict[str, Any]:
         """Return the drawn values of runs, by their draws."""

@@ -8,9 +8,9 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import count, groupby, product
+from itertools import count, groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads, target_devices
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
 from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
@@ -124,13 +124,9 @@ class TaskResult(NamedTuple):
 
 
 def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
-    """Return the metadata of a part, without time or host, which would change its bytes.
+    """Return the metadata of a part of a job, without time or host, which would change its bytes.
 
-    Args:
-        job: the job.
-        identity: that of the job, which takes a while to compute.
-        dataset: name of the dataset.
-        task: the task whose rows it has.
+    The identity is the job's, which takes a while to compute.
     """
     chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
     chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": job.chunk_runs}
@@ -140,31 +136,18 @@ def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str
 
 
 class TaskRunner:
-    """Thread-safe runner of a job's tasks.
-
-    Attributes:
-        job: the job.
-        identity: hash that identifies the job.
-        scenario: the study, ready to run.
-        schemas: columns of all datasets.
-    """
+    """Thread-safe runner of a job's tasks."""
 
     def __init__(self, job: Job) -> None:
-        """Check a job by making its first batch.
-
-        Raises:
-            InputError: the record does not fit, the study cannot be run, or runs without a bias
-                floor are to be judged from it.
-        """
+        """Check that a job can be run, by making its first batch."""
         require_floor(job.study)
         self.job, self.identity = job, job.identity
-        self.scenario = scenario = Scenario(job.study, job.stored, curves=job.curves)
+        self._scenario = scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
         self.schemas = self._tables.schemas
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
-        first_duplicate = job.study.duplicate_of
         self._duplicates = [
-            find_duplicates(spec, job.initial_draws, first_duplicate[ids])
+            find_duplicates(spec, job.initial_draws, job.study.duplicate_of[ids])
             for spec, ids in zip(scenario.specs, scenario.variant_ids, strict=True)
         ]
         self._lock = threading.Lock()
@@ -173,7 +156,7 @@ class TaskRunner:
             lambda program, draws: self._compilers.submit(self._compile, program, draws)
         )
         self._chunks = lru_cache(_CACHED_CHUNKS)(self._make_chunks)
-        self._blank_batch(0, self._split_draws(self.stages[0])[0])
+        self._make_batch(0, self._split_draws(self.stages[0])[0], blank=True)
 
     @property
     def stages(self) -> list[range]:
@@ -183,42 +166,35 @@ class TaskRunner:
 
     def plan_tasks(self) -> list[list[Task]]:
         """Return the tasks of every stage."""
-        study, chunks_before = self.job.study, [0] * len(self.scenario.specs)
-        tasks_by_stage = []
-        for stage in self.stages:
-            tasks: list[Task] = []
-            for program, draws in product(range(len(chunks_before)), self._split_draws(stage)):
-                more = self._plan_program(program, draws, chunks_before[program])
-                chunks_before[program] += len(more)
-                tasks += more
-            tasks_by_stage.append(tasks)
-        assert (
-            sum(t.runs for tasks in tasks_by_stage for t in tasks)
-            == study.n_draws * study.n_variants
-        )
-        return tasks_by_stage
+        numbers = [count() for _ in self._scenario.specs]
+        return [
+            [
+                task
+                for program, number in enumerate(numbers)
+                for draws in self._split_draws(stage)
+                for task in self._plan_batch(program, draws, number)
+            ]
+            for stage in self.stages
+        ]
 
-    def _plan_program(self, program: int, draws: range, chunks_before: int) -> list[Task]:
-        """Return the tasks of some draws of a program, numbered from ``chunks_before``."""
-        duplicates, ids = self._duplicates[program], self.scenario.variant_ids[program]
-        variants = len(ids) if duplicates is None else len(duplicates.computed)
-        spec, tasks = self.scenario.specs[program], []
-        layout = Layout(spec, len(draws), variants, tiles_per_chunk=self._tiles_per_chunk)
+    def _plan_batch(self, program: int, draws: range, number: Iterator[int]) -> Iterator[Task]:
+        """Yield the tasks of some draws of a program, whose chunks are numbered on."""
+        spec, duplicates = self._scenario.specs[program], self._duplicates[program]
+        ids = self._scenario.variant_ids[program] if duplicates is None else duplicates.computed
+        layout = Layout(spec, len(draws), len(ids), tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
             runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
-            records = {name: spec.intervals if name == "curves" else 1 for name in self.schemas}
-            rows = tuple((name, runs * rows_per_run) for name, rows_per_run in records.items())
-            name = f"part-{program:04d}-{chunks_before + call:06d}"
-            tasks.append(Task(name, program, (draws.start, draws.stop), call, runs, rows))
-        return tasks
+            rows = tuple(
+                (name, runs * (spec.intervals if name == "curves" else 1)) for name in self.schemas
+            )
+            name = f"part-{program:04d}-{next(number):06d}"
+            yield Task(name, program, (draws.start, draws.stop), call, runs, rows)
 
     def _split_draws(self, stage: range) -> list[range]:
         """Return the draws of a stage in blocks whose drawn values fit in memory."""
-        if not self.job.study.drawn_keys:
-            return [stage]
-        firsts = range(stage.start, stage.stop, _DRAWS_PER_BLOCK)
-        return [range(first, min(first + _DRAWS_PER_BLOCK, stage.stop)) for first in firsts]
+        block = _DRAWS_PER_BLOCK if self.job.study.drawn_keys else len(stage)
+        return [stage[first : first + block] for first in range(0, len(stage), block)]
 
     def compute(self, task: Task) -> TaskResult:
         """Compute one task: equal tables, and equal bytes, on any machine."""
@@ -227,55 +203,27 @@ class TaskRunner:
         chunk = chunks.compute(task.call)
         if duplicates := self._duplicates[task.part]:
             chunk = duplicates.expand(chunk)
-        content = self._tables.make_tables(chunk, self.scenario.variant_ids[task.part])
+        content: dict[str, Any] = self._tables.make_tables(
+            chunk, self._scenario.variant_ids[task.part]
+        )
         failed = pc.is_in(content["summary"]["status"], pa.array(columns.FAILED))
-        failures = pc.sum(failed).as_py() or 0
         if self.job.directory is not None:
-            content = {name: self.to_parquet(name, t, task) for name, t in content.items()}
-        return TaskResult(task, content, failures)
+            for name, table in content.items():
+                metadata = part_metadata(self.job, self.identity, name, task)
+                content[name] = sealed.to_sealed_parquet(table, metadata)
+        return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
-    def to_parquet(self, dataset: str, table: pa.Table, task: Task) -> bytes:
-        """Return a table of a task as a sealed Parquet file: equal rows give equal bytes.
-
-        Raises:
-            ValueError: the table lacks columns of the dataset.
-        """
-        schema = columns.arrow_schema(self.schemas[dataset])
-        metadata = part_metadata(self.job, self.identity, dataset, task)
-        return sealed.to_sealed_parquet(table.cast(schema), metadata)
-
-    def compile_ahead(
-        self, tasks: Iterable[Task], on_compiled: Callable[[int, int], None]
-    ) -> Iterator[Task]:
-        """Yield tasks of one stage in order, while their programs and the next few are compiled.
-
-        Args:
-            tasks: the tasks.
-            on_compiled: called with the number of programs that are compiled and that of all, first
-                and whenever one more is, then from another thread.
-        """
-        by_program = {part: list(of) for part, of in groupby(tasks, lambda task: task.part)}
-        programs, compiled, begun = list(by_program), count(1), set[int]()
-        on_compiled(0, len(programs))
-
-        def report(one: Future) -> None:
-            if not one.cancelled():
-                on_compiled(next(compiled), len(programs))
-
-        for number, program in enumerate(programs):
-            for ahead in programs[number : number + _MOST_COMPILERS]:
-                if ahead not in begun:
-                    begun.add(ahead)
-                    draws = range(*by_program[ahead][0].draws)
-                    self._compiling(ahead, draws).add_done_callback(report)
-            yield from by_program[program]
+    def compile(self, tasks: Iterable[Task]) -> None:
+        """Begin to compile the programs of some tasks of one stage, in their order."""
+        for program, of in groupby(tasks, lambda task: task.part):
+            self._compiling(program, range(*next(of).draws))
 
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""
         self._compilers.shutdown(wait=False, cancel_futures=True)
 
     def _compile(self, program: int, draws: range) -> None:
-        batch = self._blank_batch(program, draws)
+        batch = self._make_batch(program, draws, blank=True)
         Chunks(batch, tiles_per_chunk=self._tiles_per_chunk).compile()
 
     def _make_chunks(self, program: int, draws: range) -> Chunks:
@@ -285,13 +233,10 @@ class TaskRunner:
         return Chunks(batch, tiles_per_chunk=self._tiles_per_chunk)
 
     def _make_batch(self, program: int, draws: range, *, blank: bool = False) -> Batch:
-        duplicates = self._duplicates[program]
+        """Return a batch; a blank one, to compile for, lacks the truth of a simulation."""
+        duplicates, blank = self._duplicates[program], blank and self.job.stored is None
         variants = slice(None) if duplicates is None else duplicates.computed
-        return self.scenario.batch(program, draws, variants=variants, blank=blank)
-
-    def _blank_batch(self, program: int, draws: range) -> Batch:
-        """Return a batch to compile for: of a simulation one without its truth."""
-        return self._make_batch(program, draws, blank=self.scenario.stored is None)
+        return self._scenario.batch(program, draws, variants=variants, blank=blank)
 
 
 class Executor(NamedTuple):
@@ -312,11 +257,8 @@ class Executor(NamedTuple):
 def local_executor() -> Executor:
     """Return an executor on all devices of this process: threads of one program on a CPU."""
     devices = len(jax.devices())
-    description = (
-        "threads over one program" if len(target_devices()) == 1 else "devices with a program each"
-    )
     return Executor(
         lambda runner, tasks: map_in_threads(runner.compute, tasks, devices),
-        {"devices": devices, "devices_are": description},
+        {"devices": devices},
         local=True,
     )

@@ -6,17 +6,14 @@ A program compiled for one CPU may be rejected or crash on another, and options 
 there is a subfolder for each jaxlib version, processor and value of ``XLA_FLAGS``. Whoever can
 write there can run code here, so it must be this user's alone, see `machine.ensure_private_folder`.
 
-JAX limits its size. It writes the access time of an entry after its content, so an entry without
-one was cut short by a full disk or a kill. It would stop all later writing and is removed here. If
-JAX cannot read another entry it warns, "Error reading persistent compilation cache entry", compiles
-the program again and does not remove the entry: delete the folder, which `sinsjax info` shows.
+JAX limits its size. An entry without an access time was cut short by a full disk or a kill; it
+would stop all later writing and is removed here.
 """
 
 import hashlib
 import importlib.metadata
 import os
 import warnings
-from contextlib import suppress
 from pathlib import Path
 
 from sinsjax.errors import InputError
@@ -43,10 +40,7 @@ def reason_off() -> str:
 
 
 def enable_cache() -> Path | None:
-    """Turn JAX's compilation cache on, unless the environment forbids it or it would be unsafe.
-
-    Returns:
-        The folder in use, or None; see `reason_off` then.
+    """Turn JAX's compilation cache on, and return its folder; None for a reason, see `reason_off`.
 
     Raises:
         InputError: the requested folder cannot be created, or others can write there.
@@ -82,7 +76,10 @@ def _use_folder(root: Path | None) -> Path:
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     if _SIZE not in os.environ:
         jax.config.update("jax_compilation_cache_max_size", MAX_BYTES)
-        _remove_incomplete_entries(folder)
+        for entry in folder.glob("*-cache"):
+            # JAX writes the file of the access time last.
+            if not entry.with_name(f"{entry.name.removesuffix('-cache')}-atime").exists():
+                entry.unlink(missing_ok=True)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
     return folder
@@ -95,11 +92,3 @@ def _folder_name() -> str:
     parts.append(os.environ.get("XLA_FLAGS", ""))
     digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
     return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"
-
-
-def _remove_incomplete_entries(folder: Path) -> None:
-    """Remove entries without the file of their access time, which JAX writes last."""
-    with suppress(OSError):
-        for entry in folder.glob("*-cache"):
-            if not entry.with_name(entry.name.removesuffix("-cache") + "-atime").exists():
-                entry.unlink(missing_ok=True)

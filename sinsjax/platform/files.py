@@ -9,9 +9,6 @@ from typing import BinaryIO
 
 from sinsjax.errors import InputError
 
-MAX_BYTES = 2**30
-"""Largest file that `read_regular_file` reads."""
-
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
@@ -38,20 +35,18 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_regular_file(path: Path) -> bytes:
-    """Read a regular file of at most `MAX_BYTES`; nothing is read through a link or from a pipe.
+    """Read a regular file; nothing is read through a link or from a pipe.
 
     Raises:
         FileNotFoundError: there is no such file.
-        InputError: it is not a regular file, too large, or cannot be read.
+        InputError: it is not a regular file, or cannot be read.
     """
     try:
-        about = path.lstat()
-        if stat.S_ISLNK(about.st_mode):
+        mode = path.lstat().st_mode
+        if stat.S_ISLNK(mode):
             raise InputError(f"{path}: is a symbolic link (replace it by the file)")
-        if not stat.S_ISREG(about.st_mode):
+        if not stat.S_ISREG(mode):
             raise InputError(f"{path}: is not a regular file (remove it)")
-        if about.st_size > MAX_BYTES:
-            raise InputError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
         return path.read_bytes()
     except FileNotFoundError:
         raise
@@ -60,11 +55,7 @@ def read_regular_file(path: Path) -> bytes:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder and its missing parents.
-
-    Raises:
-        InputError: it cannot be created.
-    """
+    """Create a folder and its missing parents, or raise an `InputError`."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -72,15 +63,7 @@ def make_folder(path: Path) -> None:
 
 
 def require_writable(path: Path, option_name: str) -> None:
-    """Reject a file that cannot be written, before any work is done.
-
-    Args:
-        path: the file; its folder need not be there yet.
-        option_name: the option that named it, for the message.
-
-    Raises:
-        InputError: it is a folder, or cannot be created.
-    """
+    """Reject the file of an option that cannot be written, before any work is done."""
     if path.is_dir():
         raise InputError(f"{option_name} {path}: is a folder, give the name of a file")
     folder = next(parent for parent in path.absolute().parents if parent.exists())

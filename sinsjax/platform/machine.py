@@ -65,11 +65,7 @@ def free_disk_bytes(folder: Path) -> float:
 
 
 def user_cache_folder() -> Path:
-    """Return this user's cache folder; it may not exist yet.
-
-    Raises:
-        OSError: the user has no home directory.
-    """
+    """Return this user's cache folder, which may not exist yet, or raise an `OSError`."""
     import platformdirs  # here, because most processes do not need it
 
     folder = platformdirs.user_cache_path("sinsjax", appauthor=False)
@@ -86,12 +82,11 @@ def ensure_private_folder(folder: Path) -> Path:
             ``filename`` the folder.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    about = folder.stat()
-    if not hasattr(os, "geteuid"):  # Windows, where a profile is private to its user
-        return folder
-    reason = "owned by another user" if about.st_uid != os.geteuid() else ""
-    if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        reason = "other users can write there, and cached programs are executed"
-    if reason:
-        raise PermissionError(errno.EPERM, reason, str(folder))
+    if hasattr(os, "geteuid"):  # not on Windows, where a profile is private to its user
+        about = folder.stat()
+        reason = "owned by another user" if about.st_uid != os.geteuid() else ""
+        if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            reason = "other users can write there, and cached programs are executed"
+        if reason:
+            raise PermissionError(errno.EPERM, reason, str(folder))
     return folder

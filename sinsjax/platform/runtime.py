@@ -15,7 +15,6 @@ RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
 
 _configured = False
-_warned_late = False
 
 
 def configure(devices: int | None = None) -> None:
@@ -28,15 +27,14 @@ def configure(devices: int | None = None) -> None:
 
     Args:
         devices: CPU devices, at least 1: the number of threads that run a program. None uses
-            ``JAX_NUM_CPU_DEVICES`` or ``--xla_force_host_platform_device_count`` if set, else one
-            per usable core.
+            ``JAX_NUM_CPU_DEVICES`` if set, else one per usable core.
 
     Raises:
         InputError: `devices` is below 1, double precision is off in a block of ``jax.enable_x64``,
             or ``SINSJAX_COMPILE_CACHE`` names an unusable folder.
 
     Warns:
-        ConfigurationWarning: once, if JAX has started with other devices or compiler options.
+        ConfigurationWarning: if JAX has started with other devices or compiler options.
 
     Examples:
         >>> sinsjax.configure(devices=2)
@@ -50,7 +48,8 @@ def configure(devices: int | None = None) -> None:
 
     if devices is not None and devices < 1:
         raise InputError(f"devices: must be at least 1, not {devices}")
-    count = devices if devices is not None else _default_device_count()
+    chosen = jax.config.values["jax_num_cpu_devices"] if devices is None else devices
+    count = chosen if chosen >= 1 else usable_cores()
     if xla.has_backend_started():
         _warn_if_jax_started(count, "" if devices is None else f"devices={devices}")
     else:
@@ -62,25 +61,11 @@ def configure(devices: int | None = None) -> None:
 
 
 def ensure_configured() -> None:
-    """Call `configure` unless it was called before; in any case turn double precision on.
-
-    Raises:
-        InputError: see `configure`.
-    """
+    """Call `configure` unless it was called before; in any case turn double precision on."""
     if _configured:
         _enable_x64()
     else:
         configure()
-
-
-def _default_device_count() -> int:
-    import jax
-
-    chosen = int(jax.config.values["jax_num_cpu_devices"])
-    if chosen >= 1:
-        return chosen
-    forced = xla.current_options().get("xla_force_host_platform_device_count", "")
-    return int(forced) if forced.isdigit() and int(forced) else usable_cores()
 
 
 def _enable_x64() -> None:
@@ -93,19 +78,16 @@ def _enable_x64() -> None:
 
 
 def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
-    """Warn once if JAX has started without the compiler options or with other devices."""
-    global _warned_late
+    """Warn if JAX has started without the compiler options or with other devices."""
     import jax
 
     problems = []
-    if xla.missing_options():
-        text = "runs are several times slower, results differ by rounding"
-        problems.append(f"without sinsjax's compiler options ({text})")
+    if xla.missing_options() and xla.options_work():
+        problems.append("without sinsjax's compiler options (runs are several times slower)")
     with suppress(RuntimeError):  # JAX_PLATFORMS does not list the CPU
         if (running := len(jax.local_devices(backend="cpu"))) != devices:
             problems.append(f"with {running} CPU device(s) instead of {devices}")
-    if problems and not _warned_late:
-        _warned_late = True
+    if problems:
         warnings.warn(
             f"JAX has started already, {' and '.join(problems)}: restart Python or the notebook's"
             f" kernel and call sinsjax.configure({configure_arguments}) before JAX computes"
@@ -116,19 +98,15 @@ def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
 
 
 def start_backend() -> None:
-    """Start JAX's backend.
-
-    Raises:
-        InputError: the platform requested by ``JAX_PLATFORMS`` is not available.
-    """
+    """Start JAX's backend, or raise an `InputError` if ``JAX_PLATFORMS`` is not available."""
     import jax
 
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:
-        platforms = os.environ.get("JAX_PLATFORMS", "")
         reason = str(error).partition("\n")[0] or "no such device"
-        raise InputError(f"JAX_PLATFORMS={platforms}: JAX does not start: {reason}") from error
+        text = f"JAX_PLATFORMS={os.environ.get('JAX_PLATFORMS', '')}: JAX does not start: {reason}"
+        raise InputError(text) from error
 
 
 def usable_cores() -> int:
@@ -146,17 +124,12 @@ def method_entry_points() -> tuple[importlib.metadata.EntryPoint, ...]:
 
 
 @functools.cache
-def installed_version_or_none(package: str) -> str | None:
-    """Return the version of an installed package; None if it is not installed."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def package_version() -> str:
     """Return the version of sinsjax; ``0+source`` if run from source without installation."""
-    return installed_version_or_none("sinsjax") or "0+source"
+    try:
+        return importlib.metadata.version("sinsjax")
+    except importlib.metadata.PackageNotFoundError:
+        return "0+source"
 
 
 def relevant_versions() -> dict[str, str]:

@@ -9,19 +9,17 @@ options affect every program of the process.
 Set the environment variable ``SINSJAX_XLA_OPTIONS=0`` to leave ``XLA_FLAGS`` unchanged.
 """
 
-import contextlib
 import functools
+import hashlib
 import importlib.metadata
-import json
 import os
 import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping
+from contextlib import suppress
 
 from sinsjax.platform import machine
-from sinsjax.platform.files import atomic_write
 
 EXTRA_FLAG = "xla_backend_extra_options"
 """The flag whose value has further options. XLA ignores an unknown key there, whereas an unknown
@@ -42,7 +40,6 @@ _EXTRA = {
     "--vectorize-memory-check-threshold": "100000",
 }
 _WIDTHS = {"AVX512": "8", "AVX2": "4", "AVX": "4", "SSE4_2": "4"}
-_FLAG = re.compile(r"""(?:^|(?<=\s))--(\w+)=(\"[^\"]*\"|'[^']*'|\S*)""")
 
 _TRIAL = "import jax\njax.config.update('jax_enable_x64', True)\njax.jit(lambda x: x + 1.0)(1.0)\n"
 _TRIAL_S = 120.0
@@ -59,14 +56,9 @@ def is_opted_out() -> bool:
 
 def parse_flags(flags: str) -> dict[str, str]:
     """Return the flags and extra options in a value of ``XLA_FLAGS`` by name; the last one wins."""
-    values: dict[str, str] = {}
-    for name, quoted in _FLAG.findall(flags):
-        value = quoted.strip("\"'")
-        if name == EXTRA_FLAG:
-            values.update(item.partition("=")[::2] for item in value.split(",") if item)
-        else:
-            values[name] = value
-    return values
+    words = re.sub(rf"""--{EXTRA_FLAG}=|[,"']""", " ", flags).split()
+    pairs = (re.sub("^--xla_", "xla_", word).partition("=") for word in words)
+    return {name: value for name, _, value in pairs}
 
 
 def current_options() -> dict[str, str]:
@@ -92,26 +84,18 @@ def required_options() -> dict[str, str]:
 
 
 def missing_options() -> dict[str, str]:
-    """Return the options that ``XLA_FLAGS`` does not set; none if opted out or refused."""
+    """Return the options that ``XLA_FLAGS`` does not set; none if opted out."""
     present = current_options()
     options = {} if is_opted_out() else required_options()
-    unset = {name: value for name, value in options.items() if name not in present}
-    return unset if unset and options_work(_jaxlib_version()) else {}
+    return {name: value for name, value in options.items() if name not in present}
 
 
-def merge_options(flags: str, options: Mapping[str, str]) -> str:
-    """Extend a value of ``XLA_FLAGS`` by the options that it does not set.
-
-    Args:
-        flags: the user's value, which is kept unchanged.
-        options: options to set; XLA collects the extra ones from several flags.
-    """
-    present = parse_flags(flags)
-    missing = {name: f"{name}={options[name]}" for name in options if name not in present}
-    added = [f"--{text}" for name, text in missing.items() if name in _PLAIN]
-    if extra := ",".join(text for name, text in missing.items() if name not in _PLAIN):
-        added.append(f"--{EXTRA_FLAG}={extra}")
-    return " ".join([flags.strip(), *added]).strip()
+def merge_options(flags: str, options: dict[str, str]) -> str:
+    """Return a value of ``XLA_FLAGS`` with further options; XLA collects the extra ones."""
+    words = {name: f"{name}={value}" for name, value in options.items()}
+    plain = [f"--{word}" for name, word in words.items() if name in _PLAIN]
+    extra = ",".join(word for name, word in words.items() if name not in _PLAIN)
+    return " ".join([flags, *plain, *([f"--{EXTRA_FLAG}={extra}"] if extra else [])]).strip()
 
 
 def apply_options() -> None:
@@ -120,15 +104,15 @@ def apply_options() -> None:
     Warns:
         ConfigurationWarning: ``XLA_FLAGS`` names a file, or this jaxlib refuses the options.
     """
-    if is_opted_out():
+    flags, missing, problem = os.environ.get("XLA_FLAGS", "").strip(), missing_options(), ""
+    if not missing:
         return
-    flags, missing, problem = os.environ.get("XLA_FLAGS", ""), missing_options(), ""
-    if flags.strip() and not flags.lstrip().startswith("-"):
-        problem = f"XLA_FLAGS names the file {flags.strip()}; add {merge_options('', missing)}"
-    elif missing:
+    if flags and not flags.startswith("-"):
+        problem = f"XLA_FLAGS names the file {flags}; add {merge_options('', missing)}"
+    elif not options_work():
+        problem = f"jaxlib {importlib.metadata.version('jaxlib')} refuses them"
+    else:
         os.environ["XLA_FLAGS"] = merge_options(flags, missing)
-    elif not options_work(_jaxlib_version()):
-        problem = f"jaxlib {_jaxlib_version()} refuses them"
     if problem:
         warnings.warn(
             "sinsjax's XLA options are not all in effect, runs may be several times slower:"
@@ -146,45 +130,36 @@ def has_backend_started() -> bool:
 
 
 @functools.cache
-def options_work(jaxlib: str) -> bool:
-    """Return whether a jaxlib version knows all options; an unknown one would end this process.
+def options_work() -> bool:
+    """Return whether this jaxlib knows all options; an unknown one would end this process.
 
-    A version not in `TESTED_JAXLIB` is tried in a separate process. The answer is stored in the
-    user's cache folder.
+    A version not in `TESTED_JAXLIB` is tried in a separate process, until one trial succeeds, which
+    a file in the user's cache folder marks.
     """
-    if jaxlib in TESTED_JAXLIB:
-        return True
+    version = importlib.metadata.version("jaxlib")
     flags = merge_options("", required_options())
-    key, known = f"jaxlib {jaxlib} {flags}", dict[str, bool]()
-    with contextlib.suppress(OSError, ValueError):  # if nothing is stored, the next process tries
-        path = machine.user_cache_folder() / "xla_trials.json"
-        if path.exists():
-            known = dict(json.loads(path.read_text(encoding="utf-8")))
-        if key not in known and _can_compile(""):
-            known[key] = _can_compile(flags)
-            machine.ensure_private_folder(path.parent)
-            with atomic_write(path) as file:
-                file.write(json.dumps(known, indent=1).encode())
-    return known.get(key) is True
+    if version in TESTED_JAXLIB:
+        return True
+    with suppress(OSError):
+        folder = machine.ensure_private_folder(machine.user_cache_folder())
+        digest = hashlib.sha256(f"{version} {flags}".encode()).hexdigest()[:16]
+        mark = folder / f"xla-options-{digest}"
+        if mark.exists() or _can_compile(flags):
+            mark.touch()
+            return True
+    return False
 
 
 def _can_compile(flags: str) -> bool:
     """Return whether a separate process compiles a small program with a value of ``XLA_FLAGS``."""
     settings = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    # -P keeps modules of the working directory off the path.
+    command = [sys.executable or "", "-P", "-c", _TRIAL]
+    environment, null = os.environ | settings | {"XLA_FLAGS": flags}, subprocess.DEVNULL
     try:
         process = subprocess.run(
-            # -P keeps modules of the working directory off the path.
-            [sys.executable or "", "-P", "-c", _TRIAL],
-            env=os.environ | settings | {"XLA_FLAGS": flags},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_TRIAL_S,
+            command, env=environment, stdin=null, capture_output=True, timeout=_TRIAL_S
         )
     except (OSError, subprocess.TimeoutExpired):
         return False
     return process.returncode == 0
-
-
-@functools.cache
-def _jaxlib_version() -> str:
-    return importlib.metadata.version("jaxlib")

@@ -85,12 +85,13 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, 
         tuned = TuningResults(directory)
         source, report = tuned.evaluation, tuning.build_report(tuned)
     else:
-        source = Results.read(directory, whole_draws=True)
+        source = Results.read(directory)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
     return source, report._replace(
         footer=report.footer or source.sample_size_text,
         definition=describe_success_criterion(source.study),
-        origin=f"{source.config}; computed by sinsjax {source.version}",
+        origin=f"{source.manifest.config or f'study.toml of {source.study.name}'}; computed by"
+        f" sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}",
     )
 
 

@@ -60,8 +60,6 @@ def figure_axes(study: Study) -> tuple[list[str], list[str]]:
 
 def _curves_over_time(source: Results) -> Iterator[Picture]:
     """Misalignment, or attitude, over time: the first few variants."""
-    if not source.has_curves:
-        return
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
     table = source.distinct_rows([*keys, "run_id", "reset_times_s", *floor])
@@ -175,4 +173,5 @@ def excludes_biases(source: Results) -> bool:
     filters = [method for method in methods if method.has_covariance and method.finds_heading]
     if source.study.is_recorded or any(map(estimates_biases, filters)):
         return False
-    return any(source.largest_magnitude(key) for key in BIAS_KEYS)
+    given = (value for key in BIAS_KEYS for value in source.study.values(key))
+    return bool({*BIAS_KEYS} & {*source.study.drawn_keys}) or any(map(np.any, given))

@@ -52,7 +52,6 @@ def build_report(
     Raises:
         InputError: runs are missing.
     """
-    assert source.draws  # raises if draws are missing
     outcome = _find_outcome(source)
     blocks: list[Block] = [*draw_figures(source, outcome)]
     if with_tables and (source.study.is_recorded or outcome is None):

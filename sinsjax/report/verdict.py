@@ -197,7 +197,7 @@ def study_title(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")
-    if source.whole_draws is not None:
+    if source.unfinished:
         count = f"unfinished, {runs:,} of {study.n_draws * study.n_variants:,} runs"
     if source.wall_s is not None:
         count += f" in {source.wall_s:,.{0 if source.wall_s > 9 else 1}f} s"
@@ -242,7 +242,7 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     yield Fact("Success", text)
     few = " (few)" if outcome.n_draws < MIN_DRAWS_FOR_INTERVALS else ""
     yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
-    if (rule := source.study.stop_when) and source.whole_draws is None:
+    if (rule := source.study.stop_when) and not source.unfinished:
         text = f"every half-width of {rule.statistic} is at most {rule.half_width:g}"
         stopped = outcome.n_draws < source.study.n_draws
         yield Fact("Stopped", text if stopped else "after the last draw, not by [stop_when]")

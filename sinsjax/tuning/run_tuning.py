@@ -12,16 +12,10 @@ from typing import Any
 
 from sinsjax import gone
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import checks, forecast
 from sinsjax.execution import directory as places
+from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY
-from sinsjax.execution.prepare import (
-    RunOptions,
-    add_record,
-    finish_job,
-    issue_warnings,
-    load_job,
-)
+from sinsjax.execution.prepare import finish_job, issue_warnings, load_job
 from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
@@ -48,7 +42,6 @@ def tune(
     resume: bool = False,
     progress: bool | None = None,
     stop: threading.Event | None = None,
-    source: Path | str | None = None,
 ) -> TuningResults:
     """Tune a study into a directory.
 
@@ -64,7 +57,6 @@ def tune(
         progress: whether to show the progress; None shows it on a terminal or in a notebook, after
             two seconds.
         stop: event that ends the tuning run; complete stages are kept.
-        source: words for the study in manifests; None for its file.
 
     Returns:
         The best point, its objective and that of the baseline on draws not used for tuning.
@@ -81,30 +73,29 @@ def tune(
         >>> tuned.score.value < tuned.baseline.value
         True
     """
-    options = RunOptions(directory, overwrite=overwrite, resume=resume, source=source)
-    job = issue_warnings(prepare_tuning(study, None, record, None, options))
+    given: dict[str, Any] = {"directory": directory, "overwrite": overwrite, "resume": resume}
+    job = issue_warnings(prepare_tuning(study, None, record, **given))
     name = job.study.name
     run_tuning(job, lambda stage: python_progress(f"{name}: {stage}", progress), stop)
     return TuningResults(directory)
 
 
 def prepare_tuning(
-    source: Path | str | Study,
-    overrides: Mapping[str, Any] | None,
-    record: StoredRecord | Path | str | None,
-    reference: Path | str | None,
-    options: RunOptions,
+    study: Path | str | Study,
+    overrides: Mapping[str, Any] | None = None,
+    record: StoredRecord | Path | str | None = None,
+    reference: Path | str | None = None,
+    **options: Any,
 ) -> Job:
     """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
 
     Raises:
         InputError: as `tune`.
     """
-    job = load_job(source, overrides, record, reference, options)
+    job = load_job(study, overrides, record, reference, **options)
     require_tune(job.study)
     if job.directory is not None:
         _check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
-    job = add_record(job, record, reference, checks.require_north)
     _read_complete_searches(job)
     job = finish_job(job, forecast.forecast_tuning(job.study))
     if job.stored is not None and job.stored.reference is None:

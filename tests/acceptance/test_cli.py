@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +17,7 @@ from support.studies import small_study, small_tables, swing_deg
 from support.sweep_directories import read_files_and_times
 
 from sinsjax.arena.simulated_record import simulated_record
-from sinsjax.errors import InputError, StudyInterrupted
+from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.records import write_psins
@@ -66,7 +65,7 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command) -> No
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["runs"] == manifest["runs_done"] == 6 and manifest["seed"] == 1
     assert (manifest["state"], manifest["config"]) == ("complete", "study.toml")
-    assert (manifest["devices"], manifest["devices_are"]) == (2, "threads over one program")
+    assert manifest["devices"] == 2
     assert manifest["versions"].keys() >= {"sinsjax", "jaxlib", "pyarrow"}
 
 
@@ -90,13 +89,13 @@ def test_resume_computes_only_missing_runs(sinsjax: Command) -> None:
     lost, kept = sorted(Path("out/summary").glob("*.parquet"))
     lost.unlink()
     code, told, _ = sinsjax(*words)
-    assert code == 0 and "study: 72 of 200 runs already done" in told
+    assert code == 0 and "study: 72 of 200 runs, already done" in told
     after = read_files_and_times(Path("out/summary"))
     assert {name: content for name, (content, _) in after.items()} == {
         name: content for name, (content, _) in before.items()
     }
     assert after[kept.name] == before[kept.name]
-    assert "study: 200 of 200 runs already done" in sinsjax(*words)[1]
+    assert "study: 200 of 200 runs, already done" in sinsjax(*words)[1]
 
 
 @pytest.mark.nightly
@@ -169,24 +168,15 @@ def test_odd_results_are_refused_in_one_line(sinsjax: Command, command: str) -> 
     assert not (out / "reruns").exists()
 
 
-def test_rerun_refuses_summary_with_two_rows_of_one_run(sinsjax: Command) -> None:
-    store_results(Path("out"), small_study(), pa.table({"run_id": [0, 0, 1, 1]}))
-    code, _, error = sinsjax("rerun", "out", "--run-id", 1)
-    assert code == 2 and error.startswith("error: out: has 2 rows of run 1 (")
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
 def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
     sinsjax: Command,
 ) -> None:
     out = Path(os.fsdecode(b"o\xff"))
-    line = r"o\udcff: results cannot be stored under a name that is not UTF-8 (rename it)"
-    with pytest.raises(InputError, match=re.escape(line)):
-        run.run_into(small_study(), out)
-    assert not out.exists()
     store_results(Path("out"), small_study(), pa.table({"run_id": [0]})).rename(out)
     for words in (("tune", "tune_condition5", "-o"), ("report",), ("rerun", "--run-id", 0)):
-        assert sinsjax(*words, out) == (2, "", f"error: {line}\n")
+        code, _, error = sinsjax(*words, out)
+        assert code == 2 and error.startswith(r"error: o\udcff: results need")
 
 
 # --- where output goes, and how a command ends ---------------------------------------------------

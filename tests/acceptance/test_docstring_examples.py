@@ -13,14 +13,13 @@ pytestmark = pytest.mark.optimised(False)
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 WITH_METHODS = ("Results", "Study")
-LIBRARIES = {"Results.to_pandas": ["pandas"], "Results.to_xarray": ["pandas", "xarray"]}
 
 
 def public_names() -> dict[str, Any]:
     """Return all public objects by name, with the methods of `WITH_METHODS`."""
     found = {name: getattr(sinsjax, name) for name in sinsjax.__all__}
     study = sinsjax.load_study("reset_sweep")
-    shown = {"read", *dir(study), *dir(sinsjax.Results(study, None, tables={}))}
+    shown = {"read", *dir(study)}
     for name in WITH_METHODS:
         methods = {key for key, _ in inspect.getmembers(found[name], callable)}
         own = {key for key in methods & {*vars(found[name])} if not key.startswith("_")}
@@ -32,7 +31,7 @@ EXAMPLES = public_names()
 SLOW = {
     *("Results", "Results.read", "TuningResults", "align"),
     *("one_run", "read_history", "score_results", "tune"),
-    *("Results.to_pandas", "Results.to_xarray", "export_study", "information_bound", "Advice"),
+    *("export_study", "information_bound", "Advice"),
     *("load_increments", "read_curves", "read_manifest", "read_record", "read_summary"),
     *("run", "run_into", "StudyWarning"),
 }
@@ -51,8 +50,6 @@ def test_methods_have_examples_too() -> None:
     ],
 )
 def test_docstring_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in LIBRARIES.get(name, ()):
-        pytest.importorskip(library)
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(EXAMPLES[name]) or ""
     test = doctest.DocTestParser().get_doctest(text, {"sinsjax": sinsjax}, name, None, None)

@@ -55,7 +55,8 @@ def results() -> tuple[dict[Case, np.ndarray], dict[Case, np.ndarray]]:
         }
         for method, (e, n, u) in CASES
     ]
-    summary, curves = sinsjax.run(sinsjax.study_from_dict(data))
+    results = sinsjax.run(sinsjax.study_from_dict(data))
+    summary, curves = results.summary, results.curves
     shape = DRAWS, len(CASES)
     limit = summary["floor_arcmin"].to_numpy().reshape(*shape, 1)
     phi = curves["phi_u_arcmin"].to_numpy().reshape(*shape, -1) - limit

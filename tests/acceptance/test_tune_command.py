@@ -92,7 +92,7 @@ def made(faked: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) ->
     """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
     config = write(folder / "swing.toml")
-    run_tuning.tune(load_study(config), folder / "out", source=config)
+    run_tuning.tune(config, folder / "out")
     return folder / "out"
 
 

@@ -35,8 +35,7 @@ def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     counts, together = compute()
     monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
     all_counts, singly = compute()
-    for one, other in zip(together, singly, strict=True):
-        assert one.equals(other)
+    assert together.summary.equals(singly.summary) and together.curves.equals(singly.curves)
     runs = study.n_draws * study.n_variants
     assert together.summary.num_rows == sum(counts) == sum(all_counts) == runs
     assert 2 * len(counts) <= len(all_counts)

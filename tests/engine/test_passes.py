@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from oracles.in_engine import dense, navigation, place
 from oracles.naive import DEG, WGS84, exp, updates
 
-from sinsjax.engine import passes
-from sinsjax.methods import zero_velocity
+from sinsjax.methods import passes, zero_velocity
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Vec3
 

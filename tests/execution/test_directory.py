@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,30 +15,18 @@ from support.studies import small_study
 from support.sweep_directories import read_files_and_times
 
 import sinsjax
-from sinsjax import cli, plots
+from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import (
-    check_unlocked,
-    lock_directory,
-    owned_files,
-    remove_other_figures,
-)
+from sinsjax.execution.directory import lock_directory, remove_other_figures
 from sinsjax.execution.results import Results
 from sinsjax.platform import files
 from sinsjax.study.load import study_to_toml
-from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
-
-def stored_study(**changes: Any) -> Study:
-    """Return a study with curves, whose program is that of `test_study_results`."""
-    axes = {"phi_u0_deg": [5.0, 10.0], "p0_yaw_deg": [20.0, 40.0, 80.0]}
-    return small_study(study={"curves": True}, axes=axes, **changes)
-
-
-STUDY = stored_study()
+AXES = {"phi_u0_deg": [5.0, 10.0], "p0_yaw_deg": [20.0, 40.0, 80.0]}
+STUDY = small_study(study={"curves": True}, axes=AXES)  # its program is that of `test_results`
 
 HOLD = """
 import sys, pathlib
@@ -52,59 +39,37 @@ sys.stdin.read()
 
 def test_lock_is_held_until_its_process_dies(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    check_unlocked(out)
-    assert not out.exists()  # asking makes nothing
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLD, out], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     try:
         assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        for ask in (lock_directory, check_unlocked):
-            with pytest.raises(InputError, match=r"out: another process is writing there \(wait"):
-                ask(out)
+        with pytest.raises(InputError, match="out: another process is writing there"):
+            lock_directory(out)
     finally:
         holder.kill()
         holder.communicate()
-    check_unlocked(out)
     lock_directory(out).release()
 
 
 def test_figure_drawn_no_longer_is_removed_unless_another_program_wrote_it(tmp_path: Path) -> None:
-    figures = tmp_path / "figures"
-    figures.mkdir()
+    (tmp_path / "figures").mkdir()
     drawn = plots.render_png(Figure(figsize=(1, 1)))
-    for name in ("a.png", "b.png", "c.png"):
-        (figures / name).write_bytes(drawn)
-    (figures / "b.png").write_bytes(drawn.replace(b"sinsjax", b"GIMP3.0"))
+    for name, content in {
+        "a": drawn,
+        "b": drawn.replace(b"sinsjax", b"GIMP3.0"),
+        "c": drawn,
+    }.items():
+        (tmp_path / "figures" / f"{name}.png").write_bytes(content)
     remove_other_figures(tmp_path, ["c.png"])
-    assert sorted(path.name for path in figures.iterdir()) == ["b.png", "c.png"]
-    assert owned_files(tmp_path) == [figures / "c.png"]
-
-
-def test_empty_results_directory_name_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for words in (("sweep", "none.toml"), ("tune", "none.toml"), ("rerun", ".", "--run-id", "0")):
-        monkeypatch.setattr("sys.argv", ["sinsjax", *words, "-o", ""])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        assert stop.value.code == 2
-        assert "the results directory must not be empty" in capsys.readouterr().err
-    with pytest.raises(InputError, match="must not be empty"):
-        sinsjax.run_into(small_study(), "")
-    assert not list(tmp_path.iterdir())
-
-
-# --- what somebody else may have put there ------------------------------------------------------
+    assert sorted(path.name for path in tmp_path.glob("figures/*")) == ["b.png", "c.png"]
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a results directory with all files of a sweep and its report."""
+    """Return a results directory of a sweep."""
     out = tmp_path_factory.mktemp("results") / "out"
     sinsjax.run_into(STUDY, out)
-    (out / "figures").mkdir()
     return out
 
 
@@ -145,37 +110,15 @@ def test_links_and_pipes_in_results_are_refused_unchanged(
     assert read_files_and_times(tmp_path) == before
 
 
-def test_part_through_link_is_computed_again_and_its_target_kept(
-    results: Path, tmp_path: Path
-) -> None:
-    out = Path(shutil.copytree(results, tmp_path / "out"))
-    (part,) = out.glob("summary/*.parquet")
-    replace_by_link(part)
-    content = part.read_bytes()
-    with pytest.raises(InputError, match=rf"{part.name}: is a symbolic link"):
-        Results.read(out)
-    sinsjax.run_into(STUDY, out, resume=True)
-    assert not part.is_symlink() and part.read_bytes() == content
-    assert part.with_name(f"{part.name}.moved").read_bytes() == content
-    (tmp_path / "here").symlink_to(out)  # the directory itself may be a link
-    assert Results.read(tmp_path / "here").runs == 18
-
-
 def test_edited_study_of_results_is_named(results: Path, tmp_path: Path) -> None:
     out = Path(shutil.copytree(results, tmp_path / "out"))
-    study = stored_study(sensors={"gyro_bias_deg_per_h": 0.5})
+    study = small_study(study={"curves": True}, axes=AXES, sensors={"gyro_bias_deg_per_h": 0.5})
     (out / "study.toml").write_text(study_to_toml(study))
-    words = (
-        r"study\.toml: is not the study of the results: \[sensors\] gyro_bias_deg_per_h: "
-        r"0\.1 in the results, 0\.5 in the file \(restore it, or delete it: .*--resume"
-    )
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=r"study\.toml: .* \[sensors\] gyro_bias_deg_per_h: 0\.1 "):
         Results.read(out)
     sinsjax.run_into(STUDY, out, resume=True)
     assert Results.read(out).study == STUDY
 
-
-# --- seals --------------------------------------------------------------------------------------
 
 CONTENTS = {
     "parquet": sealed.to_sealed_parquet(pa.table({"run_id": [1, 2]}), {"sinsjax.study": "0123"}),
@@ -200,27 +143,20 @@ def test_any_flipped_bit_of_results_is_named(results: Path, tmp_path: Path) -> N
     (summary,), (curves,) = out.glob("summary/*.parquet"), out.glob("curves/*.parquet")
     for path in (out / "manifest.json", summary, curves):
         content = path.read_bytes()
-        for bit in np.random.default_rng(14).integers(0, 8 * len(content), size=120):
+        for bit in np.random.default_rng(14).integers(0, 8 * len(content), size=40):
             flipped = bytearray(content)
             flipped[bit // 8] ^= 1 << bit % 8
             path.write_bytes(flipped)
-            with pytest.raises(InputError) as told:
+            with pytest.raises(InputError, match=f"{path.name}: has changed since"):
                 assert Results.read(out).curves
-            assert f"{path.name}: has changed since" in str(told.value)
-            assert "\n" not in str(told.value)
         path.write_bytes(content)
     assert Results.read(out).runs == 18
 
 
-def test_only_regular_files_are_read_and_no_link_is_written_through(tmp_path: Path) -> None:
-    file, link, pipe = (tmp_path / name for name in ("file", "link", "pipe"))
+def test_no_link_is_written_through(tmp_path: Path) -> None:
+    file, link = tmp_path / "file", tmp_path / "link"
     file.write_bytes(b"content")
     link.symlink_to(file)
-    os.mkfifo(pipe)
-    assert files.read_regular_file(file) == b"content"
-    for path, why in ((link, "is a symbolic link"), (pipe, "is not a regular file")):
-        with pytest.raises(InputError, match=f"{path.name}: {why}"):
-            files.read_regular_file(path)
     (tmp_path / f".link.{os.getpid()}.tmp").symlink_to(file)
     with files.atomic_write(link) as opened:
         opened.write(b"new")

@@ -50,23 +50,11 @@ def test_variants_on_same_base_share_information_bound() -> None:
         np.testing.assert_allclose(own, closed / ARCMIN, rtol=0.03)
 
 
-@pytest.mark.nightly
-def test_surge_raises_information_bound_and_method_does_not_change_it() -> None:
-    axes = {"method": ["kalman5", "optimisation"], "surge_m_per_s": [0.0, 0.1]}
-    found = bound_of(motion={"surge_time_s": 2.0}, axes=axes).reshape(2, 2, 2)
-    np.testing.assert_array_equal(found[0], found[1])
-    assert np.all(found[0, 1] > 2 * found[0, 0])
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"sensors": {"accel_noise_ug": 0.0}}, r"^\[sensors\] accel_noise_ug: the information"),
         ({"passes": {"stored_s": 20.0}}, r"^\[passes\]: repeated passes add no information"),
-        (
-            {"earth": {"latitude_deg": None}, "drawn": {"latitude_deg": {"uniform": [0.0, 60.0]}}},
-            r"^\[earth\] latitude_deg: the information bound needs a fixed value",
-        ),
         (
             {
                 "sensors": {"gyro_bias_deg_per_h": None},
@@ -103,16 +91,6 @@ def test_drawn_cross_axis_errors_act_on_earth_rate_as_biases() -> None:
     )
     sigma = 20000 / 60 * np.hypot(1.0, PLACE.rate_u / PLACE.rate_n)
     assert found[0, -1] == pytest.approx(sigma, rel=0.02)
-
-
-def test_surge_raises_bound_with_drawn_biases() -> None:
-    at_rest, surging = bound_of(
-        motion={"surge_time_s": 2.0},
-        sensors={"gyro_bias_deg_per_h": None},
-        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 0.1]}},
-        axes={"surge_m_per_s": [0.0, 0.1]},
-    )
-    assert np.all(surging > 1.5 * at_rest)
 
 
 def test_fixed_errors_of_turning_base_count_as_sigmas() -> None:

@@ -9,7 +9,7 @@ from support.studies import PAPER, small_study
 import sinsjax
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import RunOptions, prepare_job
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.records import write_psins
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
@@ -73,6 +73,16 @@ def test_command_and_python_refuse_alike(
         sinsjax.run(study)
     with pytest.raises(InputError, match=r"has no \[record\] section to read .*log.imu with"):
         sinsjax.align(log, small_study())
-    job = prepare_job(small_study(), options=RunOptions(out))
+    job = prepare_job(small_study(), directory=out)
     assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("draws", "kept"), [(1024, True), (1025, None)])
+def test_curves_are_kept_of_a_thousand_runs(draws: int, kept: bool | None) -> None:
+    study = small_study(study={"draws": draws})
+    job = prepare_job(study, keeps_few_curves=True)
+    assert job.curves is kept
+    assert [*job.notes] == [
+        "1,025 runs: curves are kept only if [study] curves = true." for _ in range(not kept)
+    ]

@@ -44,19 +44,20 @@ def test_first_signal_requests_stop_and_second_exits(
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_progress_counts_programs_runs_and_failures(terminal: bool) -> None:
+def test_progress_counts_runs_and_failures(terminal: bool) -> None:
     file = io.StringIO()
     console = Console(file=file, width=100, force_terminal=terminal)
     with show_progress(console, "swing") as show:
         show(RunProgress(0, 2000, 0, 0))
-        show(RunProgress(0, 2000, 0, 0, compiled=1, programs=2))
-        show(RunProgress(1000, 2000, 3, 0, compiled=2, programs=2))
-        show(RunProgress(2000, 2000, 4, 0, compiled=2, programs=2))
+        show(RunProgress(1000, 2000, 3, 0))
+        show(RunProgress(1001, 2000, 3, 0))
+        show(RunProgress(2000, 2000, 4, 0))
     printed = file.getvalue()
     if terminal:
-        assert "2000/2000" in printed and "runs, 4 failed" in printed
+        assert "compiling" in printed
+        assert "2000/2000" in printed and "runs 4 failed" in printed
     else:
-        lines = ["compiling 2 of 2 programs", "1,000 of 2,000 runs, 3 failed"]
+        lines = ["0 of 2,000 runs, compiling", "1,000 of 2,000 runs, 3 failed"]
         lines += ["2,000 of 2,000 runs, 4 failed"]
         assert printed.splitlines() == [f"swing: {line}" for line in lines]
 
@@ -64,11 +65,11 @@ def test_progress_counts_programs_runs_and_failures(terminal: bool) -> None:
 def test_python_shows_progress_on_request_and_calls_back(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sinsjax.execution.progress._PYTHON_AFTER_S", 0.0)
     calls: list[RunProgress] = []
-    for shown in (None, True):
+    for shown, after_s in ((None, 0.0), (True, 60.0), (True, 0.0)):
+        monkeypatch.setattr("sinsjax.execution.progress._PYTHON_AFTER_S", after_s)
         with python_progress("swing", shown, calls.append) as show:
             assert show is not None
             show(RunProgress(1000, 2000, 3, 0))
-    assert len(calls) == 2
+    assert len(calls) == 3
     assert capsys.readouterr().err == "swing: 1,000 of 2,000 runs, 3 failed\n"

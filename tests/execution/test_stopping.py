@@ -10,16 +10,16 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 from support.studies import STILL, small_study
-from support.sweep_directories import TaskRecorder, read_manifest_entries, read_parts
+from support.sweep_directories import read_manifest_entries, read_parts
 
+from sinsjax.analysis import mean, share
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
 from sinsjax.execution import stopping
 from sinsjax.execution.results import read_summary
-from sinsjax.execution.tasks import Executor, Job, TaskRunner
+from sinsjax.execution.tasks import Executor, TaskRunner
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -42,27 +42,6 @@ def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
     expected = [n for n in doubled if n < cap] + [cap]
     assert stopping.interim_draws(make_study(draws=cap)) == expected
     assert stopping.interim_draws(small_study(study={"draws": cap})) == [cap]
-
-
-def clopper_pearson(k: int, n: int) -> float:
-    low, high = stats.binomtest(k, n).proportion_ci(0.95, "exact")
-    return (high - low) / 2
-
-
-def student(values: list[float]) -> float:
-    """Each end is that of Student's t, or that of Hall's transformation if it lies further out."""
-    n = len(values)
-    if n < 2:
-        return math.inf
-    error, t = np.std(values, ddof=1) / math.sqrt(n), stats.t.ppf(0.975, n - 1)
-    skew = stats.skew(values, bias=False) / math.sqrt(n) if n > 2 and error > 0 else 0.0
-    ends = [t, t]
-    if abs(skew) > 1e-6:
-        ends = [
-            max(t, side * 3 / skew * (np.cbrt(1 + skew * (side * t - skew / 6)) - 1))
-            for side in (-1, 1)
-        ]
-    return float(sum(ends) / 2 * error)
 
 
 @given(
@@ -92,8 +71,8 @@ def test_interim_analysis_matches_naive_count(
         }
     )
     own = [[settle[d * variants + v] for d in range(draws)] for v in range(variants)]
-    shares = [clopper_pearson(sum(s is not None for s in values), draws) for values in own]
-    means = [student([s for s in values if s is not None]) for values in own]
+    shares = [share([s is not None for s in values]) for values in own]
+    means = [mean(np.array(values, float)) for values in own]
     axes = {"phi_u0_deg": [float(v) for v in range(variants)]}
     for statistic, widths, half_width in (
         ("success_rate", shares, wanted),
@@ -102,14 +81,14 @@ def test_interim_analysis_matches_naive_count(
         study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
         rows = table.select(stopping.required_columns(study))
         found = stopping.widest_half_width(study, rows, draws)
-        assert found == pytest.approx(max(widths), rel=1e-9, abs=1e-9)
+        halves = [(width.high - width.low) / 2 for width in widths]
+        assert found == pytest.approx(max(math.inf if math.isnan(h) else h for h in halves))
 
 
 # --- in a sweep ---------------------------------------------------------------------------------
 
 CASES = {
     "share": ("success_rate", 0.03, 1000, 256),
-    "share, cap": ("success_rate", 0.0001, 150, 150),
     "settling time": ("settle_60_s_mean", 0.2, 1000, 256),
 }
 """Statistic, half-width, cap, and the draws that it takes."""
@@ -123,14 +102,10 @@ def sweep_of(name: str) -> Study:
     )
 
 
-class StopOnce(threading.Event):
-    """Lets one task pass."""
-
-    asked = 0
-
-    def is_set(self) -> bool:
-        self.asked += 1
-        return self.asked > 1
+def stop_after_one(runner: TaskRunner, tasks: Any, stop: threading.Event) -> Any:
+    for task in tasks:
+        stop.set()
+        yield runner.compute(task)
 
 
 @pytest.mark.nightly
@@ -146,27 +121,17 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     assert all(stopping.widest_half_width(study, whole.summary, n) > CASES[name][1] for n in before)
     backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
-    one_by_one = Executor(lambda shop, tasks: map(shop.compute, tasks), {})
-    options: dict[str, Any] = {"chunk_runs": 128, "resume": True, "executor": one_by_one}
+    stop, interrupted = threading.Event(), 0
     for _ in range(50):  # interrupted after every chunk
         try:
-            study_run.run_into(study, out, stop=StopOnce(), **options)
+            stop.clear()
+            one_by_one = Executor(lambda shop, tasks: stop_after_one(shop, tasks, stop), {})
+            options: dict[str, Any] = {"chunk_runs": 128, "resume": True, "stop": stop}
+            study_run.run_into(study, out, executor=one_by_one, **options)
             break
         except StudyInterrupted:
-            assert read_manifest_entries(out)["state"] == "interrupted"
-    assert read_parts(out) == read_parts(tmp_path / "back")
+            interrupted += 1
+    assert interrupted and read_parts(out) == read_parts(tmp_path / "back")
     assert read_summary(out).equals(whole.summary)
     told = read_manifest_entries(out)
-    assert (told["state"], told["draws"], told["runs"]) == ("complete", draws, 2 * draws)
-    assert told["runs_done"] == 2 * draws
-    again = TaskRecorder()
-    study_run.run_into(study, out, resume=True, executor=again.executor)
-    assert again.done == []
-
-
-def test_stages_cover_every_draw_once() -> None:
-    runner = TaskRunner(Job(sweep_of("share, cap")))
-    assert runner.stages == [range(0, 64), range(64, 128), range(128, 150)]
-    names = [task.name for tasks in runner.plan_tasks() for task in tasks]
-    assert len(set(names)) == len(names)
-    assert [sum(t.runs for t in tasks) for tasks in runner.plan_tasks()] == [128, 128, 44]
+    assert (told["state"], told["draws"], told["runs_done"]) == ("complete", draws, 2 * draws)

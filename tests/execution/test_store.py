@@ -31,11 +31,11 @@ from sinsjax import plots
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import forecast, store
 from sinsjax.execution import run as study_run
-from sinsjax.execution.prepare import RunOptions, prepare_job
+from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.execution.tasks import Job
-from sinsjax.platform import files
+from sinsjax.platform import files, runtime
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -83,10 +83,7 @@ def test_part_metadata_identify_study_and_chunk_only(uninterrupted: Path) -> Non
 
 def test_manifest_records_study_identity_and_timing(uninterrupted: Path, out: Path) -> None:
     told = read_manifest_entries(uninterrupted)
-    assert (told["fingerprint"], told["identity"]) == (
-        store.fingerprint(STUDY),
-        Job(STUDY).identity,
-    )
+    assert told["identity"] == Job(STUDY).identity
     assert (told["seed"], told["schema"], told["draws"]) == (1, "4", 48)
     assert told["wall_s"] > 0 and told["versions"]["numpy"] == np.__version__
     sweep(out, resume=True)
@@ -99,9 +96,6 @@ def test_forecast_disk_space_is_near_actual_size(uninterrupted: Path) -> None:
     expected, parts = forecast.forecast_sweep(STUDY), read_parts(uninterrupted).values()
     taken = sum(map(len, parts)) - 2 * CHUNKS * 20_000
     assert 0.5 < expected.runs * expected.run_bytes / taken < 2
-
-
-# --- damage -------------------------------------------------------------------------------------
 
 
 def flip_bit(path: Path) -> None:
@@ -120,22 +114,14 @@ def replace_by_foreign_part(path: Path) -> None:
     path.write_bytes(to_sealed_parquet(table.replace_schema_metadata(metadata)))
 
 
-def drop_last_row(path: Path) -> None:
-    table = pq.read_table(path)
-    path.write_bytes(to_sealed_parquet(table.slice(0, table.num_rows - 1)))
-
-
 DAMAGES: dict[str, Callable[[Path], Any]] = {
     "gone": Path.unlink,
-    "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "a bit in a page": flip_bit,
     "another chunk's": swap_files,
     "another study's": replace_by_foreign_part,
-    "a row less": drop_last_row,
 }
 
 
-@pytest.mark.nightly(fast=("gone", "a bit in a page", "another chunk's"))
 @pytest.mark.parametrize("name", DAMAGES)
 def test_damaged_part_is_detected_and_recomputed(uninterrupted: Path, out: Path, name: str) -> None:
     before = modification_times(out)
@@ -144,22 +130,20 @@ def test_damaged_part_is_detected_and_recomputed(uninterrupted: Path, out: Path,
     assert sweep(out, resume=True) == [chunk_name(2), chunk_name(7)]
     assert_complete(out, uninterrupted)
     after = modification_times(out)
-    assert {key[-19:-8] for key in before if before[key] != after[key]} == {
-        chunk_name(i)[-11:] for i in (2, 7)
+    assert {Path(key).stem for key in before if before[key] != after[key]} == {
+        chunk_name(i) for i in (2, 7)
     }
 
 
-@pytest.mark.parametrize("content", [b"", b'{"schema": "1", "st', b"[" * 20_000, None])
-def test_damaged_manifest_is_refused_and_parts_are_kept(out: Path, content: bytes | None) -> None:
+def test_damaged_manifest_is_refused_and_parts_are_kept(out: Path) -> None:
     manifest = out / "manifest.json"
     edited = manifest.read_bytes().replace(b'"chunk_runs": 128', b'"chunk_runs": 256')
-    manifest.write_bytes(edited if content is None else content)
+    manifest.write_bytes(edited)
     before = read_files_and_times(out)
     for options in ({}, {"resume": True}, {"overwrite": True}):
         with pytest.raises(InputError, match=r"manifest\.json: has changed since"):
             sweep(out, **options)
     assert read_files_and_times(out) == before
-    assert read_summary(out, verify=False).num_rows == CHUNKS * CHUNK_RUNS
 
 
 def test_resume_keeps_chunk_size_and_curves_of_directory(uninterrupted: Path, out: Path) -> None:
@@ -167,23 +151,19 @@ def test_resume_keeps_chunk_size_and_curves_of_directory(uninterrupted: Path, ou
     shutil.rmtree(out / "curves")
     rewrite_manifest(out, runs_done=0)
     (out / "study.toml").write_text("[study]\nduration_s = -1")
-    assert len(sweep(out, resume=True, chunk_runs=None, curves=False)) == CHUNKS
+    assert len(sweep(out, resume=True, chunk_runs=1024, curves=False)) == CHUNKS
     assert_complete(out, uninterrupted)
     assert (out / "study.toml").read_bytes() == (uninterrupted / "study.toml").read_bytes()
     before = modification_times(out)
     assert sweep(out, sweep_study(study={"name": "renamed"}), resume=True) == []
     assert modification_times(out) == before
     assert 'name = "renamed"' in (out / "study.toml").read_text()
-    line = f"out: chunk_runs: 1024 requested, but its results were begun with {CHUNK_RUNS} "
-    with pytest.raises(InputError, match=line):
-        sweep(out, resume=True, chunk_runs=1024)
-    assert_complete(out, uninterrupted)
 
 
-def test_results_of_another_schema_are_refused_by_their_version(out: Path) -> None:
-    rewrite_manifest(out, schema="5", versions={"sinsjax": "3.0"})
+def test_results_of_another_schema_are_refused_but_can_be_overwritten(out: Path) -> None:
+    rewrite_manifest(out, schema="5")
     before = read_files_and_times(out)
-    with pytest.raises(InputError, match=r"results of sinsjax 3\.0, .*schema 5.*--overwrite"):
+    with pytest.raises(InputError, match=r"schema 5.*--overwrite"):
         sweep(out, resume=True)
     assert read_files_and_times(out) == before
     assert len(sweep(out, overwrite=True)) == CHUNKS
@@ -205,21 +185,6 @@ def test_foreign_files_are_refused_and_left_unchanged(
     assert read_files_and_times(tmp_path) == before
 
 
-# --- the writer ---------------------------------------------------------------------------------
-
-
-def test_second_writer_of_directory_is_refused(out: Path) -> None:
-    options = RunOptions(out, chunk_runs=CHUNK_RUNS, resume=True)
-    held = store.DirectoryStore(prepare_job(STUDY, options=options), {})
-    before = read_files_and_times(out)
-    for choice in ({"resume": True}, {"overwrite": True}):
-        with pytest.raises(InputError, match="out: another process is writing there"):
-            sweep(out, **choice)
-    assert read_files_and_times(out) == before
-    held.unlock()
-    assert sweep(out, resume=True) == []
-
-
 def test_results_written_before_lock_are_not_lost(
     out: Path, uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -230,10 +195,13 @@ def test_results_written_before_lock_are_not_lost(
         (other, CHUNK_RUNS, True, "contains results of another study"),
         (other, CHUNK_RUNS, False, "already contains results"),
     ):
-        options = RunOptions(tmp_path / "new", chunk_runs=chunk_runs, resume=resume)
-        late = prepare_job(study, options=options)._replace(directory=out)
-        with pytest.raises(InputError, match=line):
-            store.DirectoryStore(late, {})
+        options = {"directory": tmp_path / "new", "chunk_runs": chunk_runs, "resume": resume}
+        late = prepare_job(study, **options)._replace(directory=out)
+        with (
+            pytest.raises(InputError, match=line),
+            store.open_store(late, runtime.describe_environment()),
+        ):
+            pass
     assert read_parts(out) == read_parts(uninterrupted)
 
 
@@ -262,53 +230,14 @@ def test_overwrite_and_resume_keep_user_files_and_remove_stale_ones(
     assert {n: b for n, b in read_parts(out).items() if n not in mine} == read_parts(uninterrupted)
 
 
-@pytest.mark.nightly(fast=("7",))
-@pytest.mark.parametrize("removed", [1, 7, 23])
-def test_killed_overwrite_leaves_resumable_results(
-    uninterrupted: Path, out: Path, monkeypatch: pytest.MonkeyPatch, removed: int
-) -> None:
-    other, left, unlink = sweep_study(study={"seed": 2}), [removed], Path.unlink
-
-    def killed(self: Path, missing_ok: bool = False) -> None:
-        left[0] -= self.suffix == ".parquet"
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        unlink(self, missing_ok)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Path, "unlink", killed)
-        sweep(out, other, overwrite=True)
-    there = read_parts(out)
-    assert there.items() < read_parts(uninterrupted).items()
-    with pytest.raises(InputError, match="contains results of another study"):
-        sweep(out, other, resume=True)
-    assert read_parts(out) == there
-    sweep(out, resume=True)
-    assert_complete(out, uninterrupted)
-
-
-def test_resume_of_empty_directory_starts_sweep(tmp_path: Path) -> None:
-    few = sweep_study(study={"draws": 8})  # a chunk of each environment
-    assert len(sweep(tmp_path / "begun", few)) == 2
-    (tmp_path / "locked").mkdir()
-    (tmp_path / "locked" / ".lock").touch()
-    for name in ("new/below", "locked"):
-        assert len(sweep(tmp_path / name, few, resume=True)) == 2
-        assert_complete(tmp_path / name, tmp_path / "begun")
-
-
-# --- stopping and failing -----------------------------------------------------------------------
-
-
 @pytest.mark.nightly(fast=("5",))
 @pytest.mark.parametrize("chunks", [0, 5, CHUNKS - 4])
 def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     uninterrupted: Path, tmp_path: Path, chunks: int
 ) -> None:
-    stop, seen, made, out = threading.Event(), [], TaskRecorder(), tmp_path / "out"
+    stop, made, out = threading.Event(), TaskRecorder(), tmp_path / "out"
 
     def on_progress(now: study_run.RunProgress) -> None:
-        seen.append(now)
         if now.done >= chunks * CHUNK_RUNS:
             stop.set()
 
@@ -316,27 +245,13 @@ def test_stopped_sweep_keeps_finished_chunks_and_resumes(
     with pytest.raises(StudyInterrupted, match=f"of 1,536 runs are in {out}"):
         study_run.run_into(STUDY, out, executor=made.executor, **options)
     told = read_manifest_entries(out)
-    assert told["state"] == "interrupted"
-    assert told["runs_done"] == len(made.done) * CHUNK_RUNS == seen[-1].done
+    assert (told["state"], told["runs_done"]) == ("interrupted", len(made.done) * CHUNK_RUNS)
     # Those that were under way are finished, two devices have three.
     assert chunks <= len(made.done) <= chunks + 3
-    assert read_parts(out).items() <= read_parts(uninterrupted).items()
     before = modification_times(out)
     assert sorted([*made.done, *sweep(out, resume=True)]) == [chunk_name(i) for i in range(CHUNKS)]
     assert before.items() <= modification_times(out).items()
     assert_complete(out, uninterrupted)
-
-
-def test_stop_after_last_chunk_is_ignored(uninterrupted: Path, tmp_path: Path) -> None:
-    stop = threading.Event()
-
-    def on_progress(now: study_run.RunProgress) -> None:
-        if now.done == now.total:
-            stop.set()
-
-    sweep(tmp_path / "out", on_progress=on_progress, stop=stop)
-    assert stop.is_set()
-    assert_complete(tmp_path / "out", uninterrupted)
 
 
 @pytest.mark.nightly(fast=("2",))
@@ -361,8 +276,6 @@ def test_failed_write_raises_input_error_and_keeps_finished_parts(
     there = read_parts(out)
     assert there.items() <= read_parts(uninterrupted).items()
     assert not list(out.rglob("*.tmp"))
-    if summaries := sum("summary" in name for name in there):
-        assert read_summary(out).num_rows == CHUNK_RUNS * summaries
     before = {
         k: t for k, t in modification_times(out).items() if k.replace("curves", "summary") in there
     }

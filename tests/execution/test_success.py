@@ -94,15 +94,6 @@ def test_run_beyond_diverged_deg_is_diverged(
     assert summary_of(off, study=settings)["status"][0].as_py() == status
 
 
-def test_success_band_is_a_settling_band_and_decides() -> None:
-    until = {
-        "phi_u_arcmin": [-20.0, -20.0],
-        "outside_until": [[0.0, 6.0, 6.0, 1.0], [0.0, 1.0, 1.0, 6.0]],
-    }
-    found = summary_of(until, study={"success_band_arcmin": 30.0}).to_pydict()
-    assert found["ok_floor"] == [True, False] and found["settle_30_s"] == [1.0, None]
-
-
 def test_floor_columns_are_null_without_bias_floor() -> None:
     """A biased base that sways more slowly than the run is long; null is not never."""
     table = summary_of(study={"judged_from": "truth"}, motion={})
@@ -122,15 +113,3 @@ def test_judging_from_missing_bias_floor_is_refused(method: str) -> None:
     study = small_study(study={"judged_from": "floor"}, alignment={"method": method})
     with pytest.raises(InputError, match=f"judged_from: 'floor' .*'{method}'"):
         run.run(study)
-
-
-def test_success_rates_are_shares_of_the_runs_that_are_judged() -> None:
-    flags = {"ok_floor": [True] * 3 + [False] * 3 + [None] * 2, "ok_truth": [True, False] * 4}
-    floors = [flag is not None for flag in flags["ok_floor"]]
-    runs = {"status": ["ok"] * 4 + ["not_settled"] * 4, "phi_u_arcmin": np.zeros(8)}
-    names = ["success_rate", "success_floor_rate", "success_truth_rate"]
-    table = pa.table(flags | runs | {"has_floor": floors})
-    (row,) = analysis.summarise(table, [], names).to_pylist()
-    for name, k, n in zip(names, (4, 3, 4), (8, 6, 8), strict=True):
-        share = analysis.share(np.arange(n) < k)
-        assert (row[name], row[f"{name}_low"], row[f"{name}_high"]) == share[:3]

@@ -1,27 +1,15 @@
 """Result tables: their columns, the conditions for nulls, and reading them from a directory."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import jax
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from support.chunks import chunk
-from support.stored_results import store_results, write_manifest, write_part
 from support.studies import STILL, small_study
-from support.sweep_directories import read_files_and_times
-from support.synthetic_tables import synthetic_summary
 
-from sinsjax import columns
-from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError
 from sinsjax.execution import run, tables
-from sinsjax.execution.directory import read_manifest
-from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.execution.tasks import Job
 from sinsjax.study.study import Study
 from sinsjax.units import ARCMIN, DEG
 
@@ -92,107 +80,6 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
     assert not any(table[name].null_count for name in left)
 
 
-def test_single_precision_is_refused_without_deleting_results(tmp_path: Path) -> None:
-    study = small_study()
-    store_results(tmp_path / "out", study, synthetic_summary(study))
-    before = read_files_and_times(tmp_path / "out")
-    with jax.enable_x64(False):
-        for call in (
-            lambda: run.run_into(study, tmp_path / "out", overwrite=True),
-            lambda: run.run(study),
-            lambda: simulated_record(study),
-        ):
-            with pytest.raises(InputError, match="double precision"):
-                call()
-    assert read_files_and_times(tmp_path / "out") == before
-
-
-# --- reading ------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def stored(tmp_path: Path) -> Path:
-    """Return a directory with two parts of two runs, the later ones first."""
-    study = small_study()
-    for part, runs in enumerate(([2, 3], [0, 1])):
-        rows = {"run_id": runs, "status": ["ok", None], "nees": [float(runs[0]), None]}
-        curves = {"run_id": [*runs, *runs], "time_s": [2.0, 2.0, 1.0, 1.0]}
-        for dataset, values in (("summary", rows), ("curves", curves)):
-            path = tmp_path / dataset / f"part-0000-00000{part}.parquet"
-            table = pa.table(values).replace_schema_metadata({"part": str(part)})
-            write_part(path, table, Job(study).identity)
-    write_manifest(tmp_path, study)
-    return tmp_path
-
-
-def test_rows_are_sorted_and_columns_and_runs_selected(stored: Path) -> None:
-    assert read_summary(stored)["run_id"].to_pylist() == [0, 1, 2, 3]
-    curves = read_curves(stored)
-    assert curves["run_id"].to_pylist() == [0, 0, 1, 1, 2, 2, 3, 3]
-    assert curves["time_s"].to_pylist() == [1.0, 2.0] * 4
-    assert read_curves(stored, [1, 2])["run_id"].to_pylist() == [1, 1, 2, 2]
-    assert read_curves(stored, []).num_rows == 0
-    # What a part says of itself does not hold for all rows.
-    schema = {b"sinsjax.schema": columns.SCHEMA_VERSION.encode()}
-    assert read_summary(stored).schema.metadata == schema
-    table = read_summary(stored, ["nees", "run_id"], run_ids=[2, 0, 9])
-    assert table.to_pylist() == [{"nees": 0.0, "run_id": 0}, {"nees": 2.0, "run_id": 2}]
-    assert read_summary(stored, ["status", "nees"]).column_names == ["status", "nees"]
-    with pytest.raises(InputError, match="summary: column nees_u is missing"):
-        read_summary(stored, ["nees", "nees_u"])
-
-
-def test_directory_without_results_is_refused_in_one_line(tmp_path: Path) -> None:
-    for read in (read_summary, read_manifest):
-        with pytest.raises(InputError, match="out: contains no results"):
-            read(tmp_path / "out")
-    assert read_curves(tmp_path / "out", [1]).num_rows == 0
-    (tmp_path / "manifest.json").write_bytes(b"null")
-    with pytest.raises(InputError, match="manifest.json: has changed since"):
-        read_manifest(tmp_path)
-
-
-def test_part_that_no_manifest_counts_is_read_and_verified(stored: Path) -> None:
-    """A sweep writes its manifest less often than its parts."""
-    write_manifest(stored, small_study(), runs_done=0)
-    assert read_summary(stored).num_rows == 4 and read_curves(stored).num_rows == 8
-    (stored / "manifest.json").unlink()
-    assert read_summary(stored).num_rows == 4
-    path = stored / "summary" / "part-0000-000001.parquet"
-    pq.write_table(pq.read_table(path), path)
-    with pytest.raises(InputError, match=r"part-0000-000001\.parquet: has changed since"):
-        read_summary(stored)
-    assert read_summary(stored, verify=False)["run_id"].to_pylist() == [0, 1, 2, 3]
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda path: path.rename(path.with_name("part-0000-000007.parquet")), "another name"),
-        (lambda path: path.replace(path.parents[1] / "curves" / path.name), "another name"),
-        (
-            lambda path: write_part(path, pa.table({"run_id": [1]}), "0123456789abcdef"),
-            "of another study's results",
-        ),
-    ],
-)
-def test_intact_part_of_another_place_is_refused(
-    stored: Path, change: Callable[[Path], object], words: str
-) -> None:
-    (stored / "manifest.json").unlink() if "name" in words else None
-    change(stored / "summary" / "part-0000-000001.parquet")
-    with pytest.raises(InputError, match=words):
-        read_summary(stored), read_curves(stored)
-
-
-def test_missing_parts_are_noticed(stored: Path) -> None:
-    write_manifest(stored, small_study(), curves=True)
-    (path,) = stored.glob("curves/*1.parquet")
-    path.unlink()
-    with pytest.raises(InputError, match=rf"curves/{path.name}: is missing \(`--resume`"):
-        read_curves(stored)
-    assert read_summary(stored).num_rows == 4
-    (stored / "summary" / path.name).unlink()
-    with pytest.raises(InputError, match=r"summary: parts are missing: 2 of 4 runs .*`--resume`"):
-        read_summary(stored)
-    assert read_summary(stored, verify=False).num_rows == 2
+def test_single_precision_is_refused() -> None:
+    with jax.enable_x64(False), pytest.raises(InputError, match="double precision"):
+        run.run(small_study())

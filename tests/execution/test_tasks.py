@@ -1,10 +1,8 @@
 """A study divided into tasks: equal rows for any division, equal bytes on any machine."""
 
 import random
-import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -18,10 +16,8 @@ from support.sweep_directories import STUDIES, make_study, read_parts
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.engine.batch import LANES, map_in_threads
-from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Executor, Job, TaskRunner
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
@@ -37,11 +33,10 @@ def test_rows_do_not_depend_on_chunks_tasks_or_later_draws(name: str, tmp_path: 
     """Chunks of the smallest and largest size; shuffled tasks, each with a separate runner."""
     study = make_study(name)
     reference = study_run.run(study)
+    summary, curves = reference.summary, reference.curves
     for chunk_runs in (2, 10**6) if name == "worlds" else (2,):
         again = study_run.run(study, chunk_runs=chunk_runs)
-        assert all(
-            a.schema.equals(b.schema) and a.equals(b) for a, b in zip(again, reference, strict=True)
-        )
+        assert again.summary.equals(summary) and again.curves.equals(curves)
 
     def elsewhere(runner: TaskRunner, tasks: Any) -> Any:
         todo = list(tasks)
@@ -53,22 +48,20 @@ def test_rows_do_not_depend_on_chunks_tasks_or_later_draws(name: str, tmp_path: 
     study_run.run_into(study, there, chunk_runs=128)
     study_run.run_into(study, here, chunk_runs=128, executor=Executor(elsewhere, {}))
     assert read_parts(here) == read_parts(there)
-    for a, b in zip((read_summary(here), read_curves(here)), reference, strict=True):
-        assert a.cast(b.schema).equals(b)
+    assert read_summary(here).cast(summary.schema).equals(summary)
+    assert read_curves(here).cast(curves.schema).equals(curves)
 
-    runs = np.arange(study.n_draws * study.n_variants)
-    lengths = study.lengths.to_list()
-    np.testing.assert_array_equal(reference.summary["run_id"], runs)
-    np.testing.assert_array_equal(reference.summary["draw_id"], runs // study.n_variants)
-    np.testing.assert_array_equal(reference.summary["variant_id"], runs % study.n_variants)
+    runs, lengths = np.arange(study.n_draws * study.n_variants), study.lengths.to_list()
+    np.testing.assert_array_equal(summary["run_id"], runs)
+    np.testing.assert_array_equal(summary["draw_id"], runs // study.n_variants)
+    np.testing.assert_array_equal(summary["variant_id"], runs % study.n_variants)
     records = [lengths[run % study.n_variants].records for run in runs]
-    np.testing.assert_array_equal(reference.curves["run_id"], np.repeat(runs, records))
+    np.testing.assert_array_equal(curves["run_id"], np.repeat(runs, records))
 
     fewer = study_run.run(make_study(name, study.n_draws - 17))
     count = fewer.summary.num_rows
-    assert fewer.summary.equals(reference.summary.slice(0, count))
-    before = pa.compute.less(reference.curves["run_id"], count)
-    assert fewer.curves.equals(reference.curves.filter(before))
+    assert fewer.summary.equals(summary.slice(0, count))
+    assert fewer.curves.equals(curves.filter(pa.compute.less(curves["run_id"], count)))
 
 
 @settings(max_examples=15)
@@ -89,15 +82,13 @@ def test_tasks_are_deterministic_and_cover_every_run(
 
 
 def test_job_identity_depends_on_study_record_and_reference() -> None:
-    study = study_from_dict(
-        {
-            "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
-            "record": {"format": "psins", "start_s": [0.0, 1.0]},
-            "coarse": {"coarse_duration_s": 3.0},
-            "filter": PAPER,
-        }
-    )
-    record = simulated_record(small_study())
+    tables = {
+        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
+        "record": {"format": "psins", "start_s": [0.0, 1.0]},
+        "coarse": {"coarse_duration_s": 3.0},
+        "filter": PAPER,
+    }
+    study, record = study_from_dict(tables), simulated_record(small_study())
     time_s = np.arange(0, 6.01, 0.01)
     level = Reference(time_s, np.zeros((len(time_s), 3)), "true.csv")
     records = [
@@ -117,37 +108,11 @@ def test_job_identity_depends_on_study_record_and_reference() -> None:
 
 
 def test_threads_compile_each_program_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first thread compiles a program; the others wait. Runs that failed are counted."""
-    made: list[int] = []
-
-    def slow(self: TaskRunner, program: int, draws: range) -> Any:
-        made.append(program)
-        time.sleep(0.02)  # in which other threads could begin
-        return SimpleNamespace(compute=lambda call: None)
-
-    status = ["ok", "diverged", "not_settled", "nonfinite", None, "diverged"]
-    rows = {"summary": pa.table({"status": status})}
-    monkeypatch.setattr(TaskRunner, "_make_chunks", slow)
-    monkeypatch.setattr(TableBuilder, "make_tables", lambda builder, chunk, variant_ids: rows)
-    runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
-    (tasks,) = runner.plan_tasks()
-    assert len(tasks) > 4
-    threads = [threading.Thread(target=runner.compute, args=(task,)) for task in tasks]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(made) == [0, 1]
-    assert runner.compute(tasks[0]).failures == 3
-
-
-def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
     """More threads than compilers take all tasks while the last program has not begun."""
-    compile_program, told = TaskRunner._compile, list[tuple[int, int]]()
+    compile_program, made = TaskRunner._compile, list[int]()
 
     def slow(self: TaskRunner, program: int, draws: range) -> None:
+        made.append(program)
         time.sleep(0.2)
         compile_program(self, program, draws)
 
@@ -155,13 +120,7 @@ def test_programs_wait_for_a_compiler_after_the_last_task_is_taken(
     monkeypatch.setattr(jax, "devices", lambda: [None])
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     (tasks,) = runner.plan_tasks()
-    ahead = runner.compile_ahead(tasks, lambda *counts: told.append(counts))
-    found = list(map_in_threads(runner.compute, ahead, len(tasks)))
+    runner.compile(tasks)
+    found = list(map_in_threads(runner.compute, tasks, len(tasks)))
     runner.close()
-    assert [result.task for result in found] == tasks
-    assert told == [(0, 2), (1, 2), (2, 2)]
-
-
-def test_record_for_simulated_study_is_refused() -> None:
-    with pytest.raises(InputError, match="reads no record"):
-        TaskRunner(Job(small_study(), StoredRecord(simulated_record(small_study()), None)))
+    assert [result.task for result in found] == tasks and made == [0, 1]

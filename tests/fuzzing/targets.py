@@ -18,8 +18,8 @@ from fuzzing import manifests, records, studies
 from fuzzing.edits import HiddenValue
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, prepare, resume
-from sinsjax.execution.directory import read_manifest
+from sinsjax.execution import forecast, prepare, store
+from sinsjax.execution.directory import check_available, read_manifest
 from sinsjax.execution.results import Results, read_curves, read_summary
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
@@ -175,14 +175,12 @@ def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Ca
         lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
         lambda: read_curves(directory, run_ids),
         lambda: read_summary(directory).num_rows,
-        lambda: resume.check_available(directory, overwrite=False, resume=True),
-        lambda: resume.check_available(directory, overwrite=True, resume=False),
-        lambda: resume.continue_job(Job(study, directory=directory)),
+        lambda: check_available(directory, overwrite=False, resume=True),
+        lambda: check_available(directory, overwrite=True, resume=False),
+        lambda: store.continue_job(Job(study, directory=directory)),
         lambda: history.is_tuning(directory),
         lambda: Results.read(directory),
-        lambda: forecast.check_resources(
-            study.name, expected, directory, overwrite=False, resume=True
-        ),
+        lambda: forecast.check_disk(directory, expected),
     ]
     try:
         for question in questions:

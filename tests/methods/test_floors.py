@@ -12,7 +12,6 @@ from support.batches import batch_of
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import run
-from sinsjax.execution.hidden_north import hidden_north
 from sinsjax.execution.success import has_floor
 from sinsjax.methods.floors import mean_attitude
 from sinsjax.strapdown.base_motion import Motion, Sway
@@ -216,22 +215,3 @@ def test_kalman10_has_bias_floor_only_on_still_base() -> None:
     assert runs_with_floor(wide) == [False]
     reset = study_of("kalman10", resets={"reset_gyro_bias_deg_per_h": 5.0}, sensors=biased)
     assert runs_with_floor(reset) == [False]
-
-
-def test_hidden_north_accounts_for_sway_and_drawn_values() -> None:
-    large = {"gyro_bias_deg_per_h": [10.0, 0.0, 0.0]}
-    assert hidden_north(study_of("kalman5", sensors=large)) is not None
-    assert hidden_north(study_of("kalman5", sensors=large, motion=SWAY)) is None
-    drawn = {
-        "gyro_bias_deg_per_h": {"values": [[0, 0, 0], [0, 9, 0]]},
-        "latitude_deg": {"values": [60.0]},
-        "yaw_amplitude_deg": {"values": [0.0, 0.0, 0.0, 180.0]},
-        "yaw_period_s": {"uniform": [10.0, 20.0]},
-    }
-    wgs84 = {"earth": "wgs84"}
-    found = hidden_north(study_of("kalman5", study={"draws": 8}, earth=wgs84, drawn=drawn))
-    rate = np.cos(60 * DEG) * 7.292115e-5 / DEG_PER_H
-    assert (
-        found is not None and f"up to 9 deg/h, the level part of the Earth rate {rate:.3g}" in found
-    )
-    assert ": 2 of 8 runs cannot find north" in found

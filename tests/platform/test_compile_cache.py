@@ -42,9 +42,8 @@ def test_cache_is_on_by_default_with_tested_jaxlib_or_on_request(
     settings: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     settings.setenv(compile_cache.VARIABLE, "0")
-    assert compile_cache.enable_cache() is None
+    assert compile_cache.enable_cache() is None and not list(tmp_path.iterdir())
     assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
-    assert jax.config.values["jax_compilation_cache_dir"] is None and not list(tmp_path.iterdir())
     settings.setenv(compile_cache.VARIABLE, " ")
     here = compile_cache.enable_cache()
     assert here is not None and here.parent == tmp_path / "sinsjax" / "compiled"
@@ -57,12 +56,9 @@ def test_cache_is_on_by_default_with_tested_jaxlib_or_on_request(
     assert compile_cache.enable_cache() == here
 
 
-def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(
-    settings: pytest.MonkeyPatch,
-) -> None:
+def test_cache_has_a_folder_per_jaxlib_and_cpu(settings: pytest.MonkeyPatch) -> None:
     settings.setenv(compile_cache.VARIABLE, "1")
     folders = [compile_cache.enable_cache()]
-    assert folders[0] is not None and folders[0].stat().st_mode & 0o077 == 0
     for flags in ("avx2", "avx512f"):
         cpu = {"model name": "another", "flags": flags}
         settings.setattr(machine, "cpu_info", lambda cpu=cpu: cpu)
@@ -72,22 +68,22 @@ def test_cache_folder_is_private_and_separate_per_jaxlib_and_cpu(
     assert len({*folders}) == 4 and len({folder.parent for folder in folders if folder}) == 1
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_folder_writable_by_others_is_refused_or_not_used(
-    settings: pytest.MonkeyPatch, asked: bool
-) -> None:
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
+@pytest.mark.parametrize("mode", [0o755, 0o775, 0o777])
+def test_folder_is_private_or_not_used(settings: pytest.MonkeyPatch, mode: int) -> None:
     folder = compile_cache.enable_cache()
-    assert folder is not None
-    folder.chmod(0o777)
+    assert folder is not None and stat.S_IMODE(folder.stat().st_mode) == 0o700
+    reason, is_ours = "other users can write there, and cached programs are executed", True
+    if mode == 0o755:
+        reason, is_ours = "owned by another user", False
+        assert machine.ensure_private_folder(folder) == folder
+    folder.chmod(mode)
+    settings.setattr(os, "geteuid", lambda: folder.stat().st_uid + (not is_ours))
     jax.config.update("jax_compilation_cache_dir", None)
-    reason = "other users can write there, and cached programs are executed"
-    if asked:
-        settings.setenv(compile_cache.VARIABLE, "1")
-        with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: .*: {reason}$"):
-            compile_cache.enable_cache()
-    else:
-        assert compile_cache.enable_cache() is None
-        assert compile_cache.reason_off().endswith(reason)
+    assert compile_cache.enable_cache() is None and compile_cache.reason_off().endswith(reason)
+    settings.setenv(compile_cache.VARIABLE, "1")
+    with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: .*: {reason}$"):
+        compile_cache.enable_cache()
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
@@ -103,7 +99,6 @@ def test_cache_folder_that_cannot_be_created_raises_input_error(
 def test_entries_of_interrupted_writes_alone_are_removed_at_start(
     settings: pytest.MonkeyPatch,
 ) -> None:
-    """JAX writes the file of the access time last, and stops writing where it is missing."""
     here = compile_cache.enable_cache()
     assert here is not None
     complete = [here / "jit_a-0-cache", here / "jit_a-0-atime", here / "notes.txt"]
@@ -113,26 +108,6 @@ def test_entries_of_interrupted_writes_alone_are_removed_at_start(
     assert compile_cache.enable_cache() == here
     assert sorted(here.iterdir()) == sorted(complete)
 
-
-@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
-@pytest.mark.parametrize("mode", [0o700, 0o755, 0o775])
-def test_folder_is_private_or_refused(
-    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = machine.ensure_private_folder(tmp_path / "a" / "b")
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    folder.chmod(mode)
-    if mode & 0o022:
-        with pytest.raises(PermissionError, match="other users can write there"):
-            machine.ensure_private_folder(folder)
-        return
-    assert machine.ensure_private_folder(folder) == folder
-    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
-    with pytest.raises(PermissionError, match="owned by another user"):
-        machine.ensure_private_folder(folder)
-
-
-# --- processes ----------------------------------------------------------------------------------
 
 SCRIPT = """
 import jax, jax.numpy as jnp, sinsjax
@@ -146,22 +121,16 @@ print(float(x).hex(), "/jax/compilation_cache/cache_hits" in hits)
 """
 
 
-def start(folder: Path) -> subprocess.Popen:
+def run_process(folder: Path) -> tuple[str, bool, str]:
+    """Return the bits of its result, whether it found the program, and its standard error."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
-    environment = kept | {
-        compile_cache.VARIABLE: str(folder),
-        "PYTHONPATH": str(Path(sinsjax.__file__).parents[1]),
-    }
-    command, pipe = [sys.executable, "-c", SCRIPT], subprocess.PIPE
-    return subprocess.Popen(command, env=environment, stdout=pipe, stderr=pipe, text=True)
-
-
-def result(process: subprocess.Popen) -> tuple[str, bool, str]:
-    """The bits of its result, whether it found the program, and its standard error."""
-    out, errors = process.communicate(timeout=120)
-    assert process.returncode == 0, errors
-    bits, found = out.split()
-    return bits, found == "True", errors
+    kept[compile_cache.VARIABLE] = str(folder)
+    kept["PYTHONPATH"] = str(Path(sinsjax.__file__).parents[1])
+    command = [sys.executable, "-c", SCRIPT]
+    done = subprocess.run(command, env=kept, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    bits, is_found = done.stdout.split()
+    return bits, is_found == "True", done.stderr
 
 
 @pytest.mark.nightly
@@ -169,15 +138,14 @@ def test_second_process_reuses_programs_and_compiles_those_that_are_cut_short(
     tmp_path: Path,
 ) -> None:
     folder, copy = tmp_path / "cache", tmp_path / "copy"
-    together = [result(process) for process in [start(folder) for _ in range(2)]]
-    bits = together[0][0]
-    assert together[1][0] == bits and result(start(folder)) == (bits, True, "")
+    bits = run_process(folder)[0]
+    assert run_process(folder) == (bits, True, "")
     shutil.copytree(folder, copy)
     for length in (100, 0):
         shutil.rmtree(folder)
         shutil.copytree(copy, folder)
         for entry in folder.glob("jaxlib-*/*-cache"):
             entry.write_bytes(entry.read_bytes()[:length])
-        *found, errors = result(start(folder))
+        *found, errors = run_process(folder)
         assert found == [bits, False]
         assert "UserWarning: Error reading persistent compilation cache entry" in errors

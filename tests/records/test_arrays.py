@@ -213,19 +213,19 @@ def test_dead_and_stuck_channels_are_reported():
     assert len(texts(np.zeros((T, 3)), np.zeros((T, 3)) + 9.8)) == 1
     job = prepare_job(study(), record=make_record(TIME, gyro, accel))
     assert job.warnings[0].startswith("arrays: rows 1000 to 1099: ")
-    job = prepare_job(study(), record=make_record(gyro=change_rows(GYRO, slice(None), 0, 0.1)))
-    dead, hidden = job.warnings
-    assert "column 'gyro[:, 0]' is 0.1 " in dead and "hides Earth rate" in hidden
-    assert job.study.methods == ("level",)
+    dead = make_record(gyro=change_rows(GYRO, slice(None), 0, 0.1))
+    warnings = prepare_job(study(trust=True), record=dead).warnings
+    assert "column 'gyro[:, 0]' is 0.1 " in warnings[0] and "hides Earth rate" in warnings[1]
 
 
-@pytest.mark.parametrize("trust", [False, True])
-def test_stated_unit_holds_and_biased_gyros_leave_level(trust):
-    """In deg/s these would nearly be Earth rate; trusted, they gave a roll of -7.8 deg for -2.3."""
-    biased = GYRO + np.radians(np.array([500, -800, 700]) / 3600)
-    job = prepare_job(study(trust=trust), record=make_record(gyro=biased))
-    assert job.study.methods == ("level",)
-    assert "hides Earth rate" in job.warnings[-1]
+def test_gyros_that_hide_north_are_refused_unless_trusted_or_not_needed():
+    """In deg/s these would nearly be Earth rate."""
+    biased = make_record(gyro=GYRO + np.radians(np.array([500, -800, 700]) / 3600))
+    line = refusal_line(prepare_job, study(), record=biased)
+    assert_named(line, "arrays: 0 to 20 s", "hides Earth rate", "method = 'level'", "trust = true")
+    level = study().replace({"alignment.method": "level"})
+    for some in (level, study(trust=True)):
+        assert "hides Earth rate" in prepare_job(some, record=biased).warnings[-1]
 
 
 @pytest.mark.parametrize("unit", ["rad_per_s", "deg_per_h"])
@@ -235,9 +235,9 @@ def test_subtracted_mean_of_whole_log_is_reported(unit):
     factor = 1 / GYRO_UNITS["rates"][unit]
     removed = np.round((sensed - sensed.mean(axis=0)) * factor, 9)
     removed[5, 1] = np.nan
-    job = prepare_job(study(), record=make_record(gyro=removed, gyro_unit=unit, max_gap_s=0.1))
-    assert job.study.methods == ("level",)
-    assert "mean of each gyro over the whole log" in job.warnings[-1]
+    stored = make_record(gyro=removed, gyro_unit=unit, max_gap_s=0.1)
+    line = refusal_line(prepare_job, study(), record=stored)
+    assert "mean of each gyro over the whole log" in line
     for gyro in (sensed * factor, removed + [0, 0, 1e-5 * factor]):
         assert not texts(gyro, gyro_unit=unit, max_gap_s=0.1)
 

@@ -255,7 +255,10 @@ def test_open_question_is_refused_until_answered(body, sinsjax, tmp_path):
         assert_named(error.splitlines()[1], *places)
         assert "[earth] latitude_deg: an open question" in error.splitlines()[0]
     answers = ("--set", "record.gyro_unit=rad_per_s", "--set", "earth.latitude_deg=48")
-    code, told, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answers)
+    code, _, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answers)
+    assert code == 2 and "hides Earth rate" in error and "method = 'level'" in error
+    answers += ("--set", "alignment.method=level")
+    code, _, error = sinsjax("align", "log.csv", "log.toml", "-o", "out", *answers)
     assert code == 0 and "hides Earth rate" in error
 
 

@@ -227,7 +227,9 @@ def test_methods_without_heading_or_covariance_are_reported_next_to_a_filter(tmp
 def test_stopped_study_reports_reason_for_stopping(tmp_path):
     rule = {"statistic": "success_rate", "half_width": 0.9}
     study = small_study(study={"draws": 100}, stop_when=rule)
-    source = Results.read(store_results(tmp_path, study, synthetic_summary(study).slice(0, 64)))
+    source = Results.read(
+        store_results(tmp_path, study, synthetic_summary(study).slice(0, 64), state="complete")
+    )
     why = facts_of(build_verdict(source))["Stopped"]
     assert why == "every half-width of success_rate is at most 0.9"
 
@@ -242,11 +244,9 @@ def test_unfinished_report_warns_with_share_of_runs(tmp_path):
     report.print_reports([out], console, page)
     text = " ".join(console.file.getvalue().split())
     assert text.startswith("study: unfinished, 300 of 900 runs in ")
-    share = "unfinished: 301 of 900 runs are done (33 %)"
+    share = "unfinished: 301 of 900 runs are done"
     assert f"{share}; shown are the 100 draws" in text
     assert f"<strong>Warning:</strong> {share}" in page.read_text()
-    with pytest.raises(InputError, match="continue with `--resume`"):
-        _ = Results.read(out).draws
     few = store_results(tmp_path / "few", study, summary[:2], state="interrupted")
     with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has"):
         report.print_reports([few], console)

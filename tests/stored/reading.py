@@ -59,10 +59,9 @@ def continue_all(folder: Path) -> dict[str, pa.Table]:
 
     Rows of other versions and instruction sets are refused: both checks are left out here.
     """
-    from sinsjax.execution import resume
+    from sinsjax.execution import store
 
-    unchecked = {"_check_versions": lambda *_: None, "check_instruction_set": lambda *_: None}
-    with mock.patch.multiple(resume, **unchecked):
+    with mock.patch.object(store, "_check_environment"):
         more = {"killed": {}, "extended": {"study.draws": MORE_DRAWS}}
         for name, changes in more.items():
             study = sinsjax.load_study(folder / name / "study.toml", changes)

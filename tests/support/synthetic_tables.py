@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 
 from sinsjax import columns
-from sinsjax.execution import schemas
+from sinsjax.execution import tables
 
 FLOOR = -25.9
 TIMES = np.arange(1.0, 7.0)
@@ -31,7 +31,7 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
     ]
     names = {column.name for column in layout}
     extra_columns = (
-        [c for c in schemas.summary_columns(study) if c.name not in names] if all_columns else []
+        [c for c in tables.summary_columns(study) if c.name not in names] if all_columns else []
     )
     resets = study.values("reset_times_s") if study.has("resets") else [()] * v
     starts = study.record.start_s if study.record else [0.0] * d
@@ -83,7 +83,7 @@ def synthetic_curves(study, *, truth=True):
     runs = study.n_variants * study.n_draws
     run, time = np.repeat(np.arange(runs), TIMES.size), np.tile(TIMES, runs)
     noise = np.random.default_rng(6).normal(size=run.size)
-    layout = schemas.curve_columns(study)
+    layout = tables.curve_columns(study)
     values = {c.name: noise for c in layout}
     if not truth:
         values |= {f"phi_{a}_arcmin": np.full(run.size, np.nan) for a in "enu"}
