@@ -119,17 +119,3 @@ def test_every_run_occupies_exactly_one_lane(
     assert sorted(runs) == every
     if force == "measured":
         assert runs == every
-
-
-def test_start_of_a_tile_is_not_compiled_with_its_samples() -> None:
-    """XLA would make one function of all tiles, their start and their samples, at twice the cost.
-
-    The pass that hoists small loops leaves the loop over tiles alone, since the mean attitude of a
-    base that differs between draws is a product of matrices.
-    """
-    study = small_study(study={"draws": 128}, **STUDIES["drawn"])
-    runs = batch_of(study)
-    program = batch.trace_program(runs, runs.lay_out()).compiled().as_text()
-    _, entry = program.split("\nENTRY ")
-    assert entry.count(" while(") == 1 and "small_call" not in entry
-    assert "small_call" in program

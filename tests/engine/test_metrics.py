@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles.in_engine import ARCMIN
-from oracles.naive import DEG, exp, judge, log, quaternion
-from scipy.spatial.transform import Rotation
+from oracles.naive import DEG, judge
 
 from sinsjax.engine import metrics
 from sinsjax.engine.metrics import Criteria, Observation
 from sinsjax.methods.floors import BiasFloor
 from sinsjax.methods.method import AttitudeCovariance
-from sinsjax.types import Quat, Vec3
+from sinsjax.types import Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -93,14 +92,8 @@ def curves(angle, place=2):
 @pytest.mark.parametrize(
     ("off_arcmin", "until"),
     [
-        # Outside at all, a little, and never.
-        (np.full(N, 61.0), (30.0, 30.0, 30.0)),
-        (np.full(N, 2.9), (0.0, 0.0, 0.0)),
         # One excursion at the 20th record, 10 s: the end of the last interval outside.
         (np.where(np.arange(N) == 19, -30.0, 0.0), (0.0, 10.0, 10.0)),
-        # The first record alone, and the last alone.
-        (np.where(np.arange(N) == 0, 90.0, 0.0), (0.5, 0.5, 0.5)),
-        (np.where(np.arange(N) == N - 1, 5.0, 0.0), (0.0, 0.0, 30.0)),
         # NaN is outside every band, and the edge of a band within it.
         (np.where(np.arange(N) == 4, np.nan, 0.0), (2.5, 2.5, 2.5)),
         (np.full(N, 10.0), (0.0, 0.0, 30.0)),
@@ -111,22 +104,6 @@ def test_settling_time_ends_last_interval_outside_band(off_arcmin, until):
     for row, floor in enumerate((0.0, FLOOR)):
         got = outcome(criteria(), *curves(off_arcmin * ARCMIN), floor)
         np.testing.assert_array_equal(got.outside_until[row], until)
-
-
-@pytest.mark.parametrize(
-    ("mean", "swing"),
-    [
-        (3.0, 1e-9 * np.where(np.arange(N) % 2, 1.0, -1.0)),
-        *((side * (np.pi - 0.001), 0.1 * np.sin(2 * np.pi * TIMES / 3.0)) for side in (-1, 1)),
-    ],
-    ids=["small std about large mean", "across -180 deg", "across 180 deg"],
-)
-def test_yaw_statistics_keep_precision(mean, swing):
-    yaw = mean + swing
-    wrapped = np.arctan2(np.sin(yaw), np.cos(yaw))
-    got = outcome(criteria((6.0, 30.0)), *curves(wrapped, 5), 0.0)
-    np.testing.assert_allclose(got.mean[5], mean, rtol=1e-12)
-    np.testing.assert_allclose(got.std[5], np.std(swing[12:], ddof=1), rtol=1e-6)
 
 
 def test_unknown_values_give_nan_where_they_matter_only():
@@ -147,21 +124,6 @@ def test_unknown_values_give_nan_where_they_matter_only():
     assert np.all(np.isnan(unknown))
     yaw = values[inside, 5]
     np.testing.assert_allclose([got.mean[5], got.std[5]], [yaw.mean(), yaw.std(ddof=1)], rtol=1e-10)
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_observe_matches_rotation_vector_and_euler_angles(seed):
-    """The rotation vector is that of C_true C_hat^T."""
-    rng = np.random.default_rng(seed)
-    angles = rng.uniform([-1.4, -np.pi, -np.pi], [1.4, np.pi, np.pi])
-    c_hat = Rotation.from_euler("ZXY", angles[[2, 0, 1]]).as_matrix()
-    c_true = exp(rng.normal(scale=0.8, size=3)) @ c_hat
-    variances = rng.random(6)
-    attitudes = (Quat(*map(jnp.asarray, quaternion(c))) for c in (c_true, c_hat))
-    now = metrics.observe(*attitudes, AttitudeCovariance(*variances))
-    np.testing.assert_allclose(now.phi, log(c_true @ c_hat.T), atol=1e-7)
-    np.testing.assert_allclose((now.pitch, now.roll, now.yaw), angles, atol=1e-12)
-    np.testing.assert_allclose(now.sigma, np.sqrt(variances[[0, 3, 5]]), rtol=1e-15)
 
 
 def relaxed_until(off, sharpness):

@@ -160,20 +160,6 @@ def test_reset_windows_have_gradient_by_reset_times(study: Any, run: Any) -> Non
     assert float(value) == pytest.approx(hard, rel=0.2)
 
 
-@pytest.mark.nightly
-def test_settling_times_have_gradient_only_with_soft_bands(study: Any, run: Any) -> None:
-    for one in (run, sinsjax.one_run(study, variant_id=1, sharpness=8.0)):
-        r, step = float(run.params.method.r), 1e-4
-
-        def settling(scale: Any, one: Any = one, r: float = r) -> Any:
-            return one(changed(one, r=r * scale), one.draw(0)).outside_until.sum()
-
-        settled = jax.jit(lambda scale, of=settling: jax.jvp(of, (scale,), (1.0,)))
-        (up, _), (down, _), (_, slope) = map(settled, (1 + step, 1 - step, 1.0))
-        assert (slope != 0) == (one is not run)
-        np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-5)
-
-
 def test_invalid_one_run_request_is_refused_in_one_line(study: Any, run: Any) -> None:
     compass = small_study(study=LENGTH, alignment={"method": "compass"})
     waiting = small_study(study=LENGTH, resets=RESETS | {"reset_at_feedback": True})

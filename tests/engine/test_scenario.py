@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.batches import records_of
-from support.studies import BASE, STILL, small_study, small_tables
+from support.studies import STILL, small_study, small_tables
 
 import sinsjax
 from sinsjax.errors import InputError
@@ -21,36 +20,9 @@ pytestmark = pytest.mark.optimised(False)
 DEG = np.pi / 180
 
 
-def params_of(**changes: Any) -> Any:
-    return sinsjax.one_run(small_study(**changes)).params
-
-
-def test_filter_keys_are_converted_to_si() -> None:
-    """Of [P1]; R may also be a density."""
-    method = params_of().method
-    np.testing.assert_allclose(method.p0, [0.01, 0.01, *np.square(np.array([15, 15, 80]) * DEG)])
-    np.testing.assert_allclose(method.q, [(500e-6 * 9.8) ** 2] * 2 + [(0.1 * DEG / 3600) ** 2] * 3)
-    assert method.r == pytest.approx(0.01) and method.feedback.gain == 1
-    assert params_of(filter={"r_reading": "psd"}).method.r == pytest.approx(1.0)
-
-
-def test_sensor_densities_and_micro_g_are_converted_to_si() -> None:
-    """On an ellipsoid 1 g is standard gravity, not that of the place."""
-    densities = {"gyro_arw_deg_per_sqrt_h": 0.003, "accel_vrw_ug_per_sqrt_hz": [10.0, 20.0, 30.0]}
-    biases = {"gyro_bias_deg_per_h": 0.1, "accel_bias_ug": 500.0}
-    none, wgs84 = dict.fromkeys(BASE["sensors"]), {"earth": "wgs84"}
-    ideal = records_of(small_study(sensors=none, earth=wgs84))[0]
-    noise = records_of(small_study(sensors=none | densities, earth=wgs84))[0] - ideal
-    expected = [0.003 * DEG / 60 * 0.1] * 3 + [ug * 9.80665e-6 * 0.1 for ug in (10, 20, 30)]
-    np.testing.assert_allclose(noise.std(axis=0), expected, rtol=0.1)
-    bias = records_of(small_study(sensors=none | biases, earth=wgs84))[0] - ideal
-    expected = [0.1 * DEG / 3600 * 0.01] * 3 + [500 * 9.80665e-6 * 0.01] * 3
-    np.testing.assert_allclose(bias.mean(axis=0), expected, rtol=1e-9)
-
-
 def test_euler_misalignment_is_rotation_rz_rx_ry() -> None:
     """C_n'^n = Rz(U) Rx(E) Ry(N), [P1] section 1; phi is its rotation vector."""
-    phi = params_of(alignment={"misalignment": "euler"}).phi
+    phi = sinsjax.one_run(small_study(alignment={"misalignment": "euler"})).params.phi
     want = Rotation.from_euler("ZXY", [30, 5, 5], degrees=True).as_rotvec()
     np.testing.assert_allclose(phi, want, atol=1e-15)
 
@@ -136,19 +108,6 @@ def test_run_with_drawn_values_equals_run_with_fixed_values(
         for name in ("dtheta", "dv", "latitude_deg"):
             pair = (getattr(record, name) for record in records)
             np.testing.assert_allclose(*pair, rtol=0, atol=1e-12)
-
-
-@pytest.mark.nightly
-def test_swept_variant_equals_study_of_its_values() -> None:
-    """Of two programs, two environments and two starts."""
-    swept = {"phi_u0_deg": [0.0, 30.0], "yaw_center_deg": [0.0, 90.0]}
-    swept |= {"specific_force": ["measured", "gravity"]}
-    data = small_tables(study={"draws": 1}, axes=swept)
-    runs = sinsjax.run(study_from_dict(data)).summary.to_pylist()
-    for row in (runs[1], runs[6]):
-        values = {key: row[key] for key in swept}
-        (alone,) = sinsjax.run(study_from_dict(fixed(data, values, "axes"))).summary.to_pylist()
-        assert_same_run(row, alone, "run_id", "variant_id")
 
 
 @pytest.mark.parametrize(

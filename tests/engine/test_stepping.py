@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from support.batches import all_runs, assert_same, batch_of, run_tiles, runs_of_variant
+from support.batches import assert_same, batch_of, run_tiles
 from support.studies import small_study
 
 HEEDING = {"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]}
@@ -43,16 +43,3 @@ def test_event_stepping_equals_sample_stepping(
     """Noise is made in pieces, or by sample; the samples of a trigger are compiled anew."""
     runs = batch_of(small_study(study=SETTINGS | {"draws": draws}, axes=axes, **tables))
     assert_same(run_tiles(runs, by_event=True), run_tiles(runs, by_event=False), tolerance)
-
-
-@pytest.mark.nightly
-def test_other_schedules_in_tile_do_not_change_run() -> None:
-    """One of 64 schedules, and the same beside 63 others."""
-    resets = [(0.3 + 0.11 * i, 4.5, 5.0) for i in range(15)]
-    others = {"reset_times_s": [(1.37, 4.0), *resets], "feedback_interval_s": [0.07]} | HEEDING
-    mine = (1 * 4 + 1) * 4 + 3  # (1.37, 4.0) and 0.07 s, each heeding the other
-    pair = []
-    for axes, variant in ((SCHEDULES, mine), (others, 3)):
-        study = small_study(study=SETTINGS, axes=axes)
-        pair.append(runs_of_variant(all_runs(batch_of(study)), study, variant))
-    assert_same(*pair)

@@ -89,19 +89,3 @@ def as_json(errors: dict[str, list[Place]]) -> str:
         f" {json.dumps(name)}: {json.dumps(places)}" for name, places in sorted(errors.items())
     ]
     return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def differences(old: dict[str, list[Place]], new: dict[str, list[Place]]) -> list[str]:
-    """List the differences between the errors of faulty studies, one line per study."""
-    return [
-        f"{name}: was {_in_words(old.get(name))}, is {_in_words(new.get(name))}"
-        for name in sorted({*old, *new})
-        if old.get(name) != new.get(name)
-    ]
-
-
-def _in_words(places: list[Place] | None) -> str:
-    """Format places for a message: ``[study] draws, [earth] latitude_deg``."""
-    if not places:
-        return "not there" if places is None else "without an error"
-    return "; ".join(f"{file} [{section}] {key}".rstrip() for file, section, key in places)

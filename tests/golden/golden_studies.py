@@ -1,6 +1,6 @@
 """Run the golden studies, each in its own process, and reduce results to numbers that diff well.
 
-    python tests/golden/golden_studies.py NAME FOLDER DEVICES
+    python tests/golden/golden_studies.py NAME FOLDER
 
 runs a study, or what else `NAMES` lists, in an empty folder and prints its results as JSON:
 `run_alone` calls it, with an environment of its own. It uses only commands and what
@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout, suppress
 from html import unescape
 from importlib.metadata import version
@@ -62,21 +62,12 @@ Recorded = dict[str, Any]
 """A study's results: ``jaxlib``, and ``tables`` with their ``rows`` and ``columns`` by name."""
 
 
-def run_alone(
-    name: str, folder: Path, devices: int = 1, environment: Mapping[str, str] = ENVIRONMENT
-) -> Recorded:
-    """Run a golden study in a process of its own, with options of its own.
-
-    Args:
-        name: one of `NAMES`.
-        folder: where it may write.
-        devices: threads that run it; the numbers are the same with any.
-        environment: options of JAX and XLA.
-    """
+def run_alone(name: str, folder: Path, environment: Mapping[str, str] = ENVIRONMENT) -> Recorded:
+    """Run one of `NAMES` in a process of its own, with options of JAX and XLA."""
     inherited = {key: value for key, value in os.environ.items() if not key.startswith(_OTHERS)}
     own = {**environment, "PYTHONPATH": str(HERE.parents[1])}
     done = subprocess.run(
-        [sys.executable, __file__, name, folder, str(devices)],
+        [sys.executable, __file__, name, folder],
         env=inherited | own,
         capture_output=True,
         text=True,
@@ -109,59 +100,35 @@ def as_json(recorded: Recorded) -> str:
     return head + ",\n".join(tables) + "}}\n"
 
 
-def differences(
-    old: Recorded,
-    new: Recorded,
-    tolerance: float,
-    renamed: Mapping[str, str] | None = None,
-    added: Collection[str] = (),
-) -> list[str]:
+def differences(old: Recorded, new: Recorded, tolerance: float) -> list[str]:
     """List the differences between two results of a study, one line per column.
 
-    Args:
-        old: the expected ones.
-        new: those to judge.
-        tolerance: of numbers, relative to the largest one of their column.
-        renamed: new names of columns, by the old ones.
-        added: columns that are new.
+    Numbers may differ by a tolerance, relative to the largest one of their column.
     """
     lines = []
+    nothing: dict[str, Any] = {"rows": None, "columns": {}}
     for name in sorted({*old["tables"], *new["tables"]}):
-        was, now = old["tables"].get(name), new["tables"].get(name)
-        if was is None or now is None:
-            lines.append(f"{name}: is {'new' if was is None else 'missing'}")
-            continue
+        was, now = (results["tables"].get(name, nothing) for results in (old, new))
         if was["rows"] != now["rows"]:
             lines.append(f"{name}: had {was['rows']} rows, has {now['rows']}")
-        before = {(renamed or {}).get(key, key): one for key, one in was["columns"].items()}
-        for column in sorted({*before, *now["columns"]} - ({*added} - {*before})):
-            change = _change(before.get(column), now["columns"].get(column), tolerance)
-            lines += [f"{name}: {column}: {change}"] if change else []
+        for column in sorted({*was["columns"], *now["columns"]}):
+            one, other = (dict(_parts(table["columns"].get(column, {}))) for table in (was, now))
+            numbers = [abs(value) for value in one.values() if isinstance(value, float)]
+            limit = tolerance * max([_LEAST, *numbers])
+            changed = [
+                f"{part} was {one.get(part)!r}, is {other.get(part)!r}"
+                for part in {**one, **other}
+                if not _are_close(one.get(part), other.get(part), limit)
+            ]
+            if changed:
+                lines.append(f"{name}: {column}: {len(changed)} changes: {'; '.join(changed[:3])}")
     return lines
 
 
-def _change(was: Any, now: Any, tolerance: float) -> str:
-    """Describe the largest change of a column; empty if there is none."""
-    if was is None or now is None:
-        return f"is new ({now['kind']})" if was is None else f"is missing (was {was['kind']})"
-    one, other = dict(_parts(was)), dict(_parts(now))
-    numbers = [abs(value) for value in one.values() if isinstance(value, float)]
-    largest = max([_LEAST, *numbers])
-    changes = {}
-    for part in {**one, **other}:
-        a, b = one.get(part), other.get(part)
-        if isinstance(a, float) and isinstance(b, float):
-            by = abs(b - a) / largest
-        else:
-            by = 0.0 if a == b else float("inf")
-        if by > tolerance:
-            changes[part] = by
-    if not changes:
-        return ""
-    worst = max(changes, key=lambda part: changes[part])
-    by = f" (by {changes[worst]:.1e} of the largest)" if changes[worst] < float("inf") else ""
-    text = f"{worst} was {one.get(worst)!r}, is {other.get(worst)!r}{by}"
-    return f"{text}; {len(changes)} of its {len(one)} numbers differ"
+def _are_close(one: Any, other: Any, limit: float) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return abs(one - other) <= limit
+    return one == other
 
 
 def _parts(summary: Any, place: str = "") -> Iterator[tuple[str, Any]]:
@@ -381,11 +348,11 @@ def _numbers(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def main(name: str, folder: str, devices: str) -> None:
+def main(name: str, folder: str) -> None:
     """Run a study, or what else has a name, in this process; print its tables as JSON."""
     import sinsjax
 
-    sinsjax.configure(devices=int(devices))
+    sinsjax.configure(devices=1)
     others = {TUNING: _tuning_tables, BOUND: _bound_tables, SCORE: _score_tables}
     if name == ADVICE:
         tables = _advice_tables()

@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from oracles.in_engine import dense, place
 from oracles.naive import DEG, PAPER, WGS84, exp, skew
 from oracles.naive_filters import about_up, unscented_transform, upright
-from scipy.linalg import expm
 
 from sinsjax.methods import azimuth as model
-from sinsjax.methods import sincos, surge
+from sinsjax.methods import sincos
 from sinsjax.methods.filters.kalman import Belief
-from sinsjax.strapdown import processes
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -108,20 +106,3 @@ def test_unscented_prediction_matches_textbook_transform(seed, alpha):
     tolerance = 1e-9 / alpha**2 * 1e-3  # the textbook's weights cancel
     np.testing.assert_allclose(found.x, mean, rtol=0, atol=tolerance)
     np.testing.assert_allclose(found.p, spread[np.triu_indices(5)], rtol=0, atol=100 * tolerance)
-
-
-def test_surge_model_autocovariance_matches_bounded_velocity():
-    """Whose acceleration is bounded far above what the filter samples: its autocovariance."""
-    a = dense(surge.transition(place(WGS84, LATITUDE), 1 / SURGE_S, 1.0), 10)
-    dt, rms = 0.05, 0.3
-    whole = processes.bounded_velocity_process(np.full(3, rms), SURGE_S, 1e3, 1e-3)
-    stationary = whole.begin @ whole.begin.T
-    axis = np.ix_([surge.PLACE_E, surge.SURGE_E], [surge.PLACE_E, surge.SURGE_E])
-    own = np.diag([(rms * SURGE_S) ** 2, rms**2])
-    for later in range(0, 100, 10):
-        passed = np.linalg.matrix_power(whole.transition, round(later * dt / 1e-3))
-        expected = rms**2 * whole.output @ passed @ stationary @ whole.output
-        found = (expm(a[axis] * later * dt) @ own)[1, 1]
-        assert found == pytest.approx(expected, abs=2e-3 * rms**2)
-    np.testing.assert_array_equal(a[:6, 6:], 0.0)
-    np.testing.assert_array_equal(a[6:, :6], 0.0)

@@ -80,20 +80,6 @@ def test_gains_are_those_of_sigma_and_damping_or_given():
     np.testing.assert_allclose(np.ravel(made.azimuth), design.azimuth_gains(0.02, 0.8, **G_AND_R))
 
 
-def test_schedules_in_seconds_become_samples():
-    times = numbers(
-        compass={"level_time_s": 3.21},
-        cases=[
-            {"sigma_factors": [4.0, 2.0, 1.0], "sigma_times_s": [5.0, 7.5]},
-            {"sigma_factors": [3.0], "sigma_times_s": []},
-        ],
-    )
-    np.testing.assert_array_equal(times.azimuth_from, [321, 321])
-    np.testing.assert_array_equal(times.pace.samples, [[500, 750], [np.inf, np.inf]])
-    # A piece that never begins has some value.
-    np.testing.assert_array_equal(times.pace.values, [[4, 2, 1], [3, 1, 1]])
-
-
 # Runs
 
 

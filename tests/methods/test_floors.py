@@ -8,7 +8,6 @@ import pytest
 from oracles.in_engine import ARCMIN
 from oracles.naive import DEG
 from scipy.spatial.transform import Rotation
-from support.batches import batch_of
 from support.studies import STILL, small_study, with_paper_values
 
 from sinsjax import run
@@ -49,19 +48,6 @@ def test_mean_attitude_matches_average_over_many_periods(name: str) -> None:
     want = np.tensordot(weights, turned, 1) / weights.sum()
     np.testing.assert_allclose(mean_attitude(one), want, rtol=0, atol=1e-6)
     np.testing.assert_allclose(jax.jit(mean_attitude)(one), mean_attitude(one), rtol=0, atol=1e-14)
-
-
-def test_mean_biases_rotate_with_vehicle() -> None:
-    """Heading 90 deg: east is body -y, north is body x; swayed by J0 of the amplitude."""
-    sensors = {"gyro_bias_deg_per_h": [0.1, 0.2, 0.3], "accel_bias_ug": [300.0, 500.0, 0.0]}
-    sways = STILL | {"yaw_center_deg": 90.0, "yaw_amplitude_deg": 90.0}
-    part = batch_of(small_study(motion=sways, sensors=sensors))
-    eps, nabla, most = part.environment.biases
-    shrunk = 0.47200121576823484  # J0(pi/2)
-    want = np.array([-0.2 * shrunk, 0.1 * shrunk, 0.3]) * DEG_PER_H
-    np.testing.assert_allclose(eps, want, rtol=1e-12)
-    np.testing.assert_allclose(nabla[:2], np.array([-500, 300]) * 9.8e-6 * shrunk, rtol=1e-12)
-    assert most == pytest.approx(500 * 9.8e-6)
 
 
 def ends(study: Study) -> list[tuple[np.ndarray, float, str]]:

@@ -89,30 +89,6 @@ def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
     assert abs(misfit.mean() - 1) < 0.05
 
 
-SWAY = {"pitch_amplitude_deg": 2.0, "pitch_period_s": 6.0, "pitch_phase_deg": 40.0}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("motion", "arm", "rate_hz", "least"),
-    [(TURN, [0.05, 0.06, 0.02], 10.0, 1.0), (SWAY, [2.0, 1.0, 0.5], 50.0, 0.97)],
-    ids=["turned", "swaying"],
-)
-def test_lever_arm_is_an_unknown_that_costs_little(
-    motion: dict[str, Any], arm: list[float], rate_hz: float, least: float
-) -> None:
-    tables = {"motion": motion | {"lever_arm_m": arm}, "study": {"rate_hz": rate_hz}}
-    given = study(32, **tables)
-    error, sigma, misfit = columns(given, "phi_u_arcmin", "sigma_u_arcmin", "fit_misfit")
-    low, high = stats.chi2.ppf([0.001, 0.999], 32) / 32
-    assert low < np.mean((error / sigma) ** 2) < high
-    bound = sinsjax.information_bound(given)["bound_u_arcmin"].to_pylist()[-1]
-    assert least < sigma.mean() / bound < 1.15
-    assert abs(misfit.mean() - 1) < 0.1
-    ignored = study(32, **tables, gravity_fit={"fit_lever_arm_m": 0.0})
-    assert np.mean(columns(ignored, "fit_misfit")) > 2
-
-
 @pytest.mark.nightly
 def test_heading_depends_neither_on_later_data_nor_on_the_length_of_records() -> None:
     ends = "phi_u_arcmin", "sigma_u_arcmin"
@@ -121,23 +97,6 @@ def test_heading_depends_neither_on_later_data_nor_on_the_length_of_records() ->
     np.testing.assert_allclose(at, columns(study(4, study={"duration_s": 90.0}), *ends), rtol=1e-6)
     fine = study(4, study={"record_interval_s": 0.5})  # joined to blocks of a second
     np.testing.assert_allclose(columns(fine, *ends), columns(study(4), *ends), rtol=1e-6)
-
-
-@pytest.mark.nightly
-def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
-    given = study(32, study={"settle_bands_arcmin": [1000.0, 300.0]})
-    results = sinsjax.run(given)
-    refits = {3.0, 7.0, 15.0, 31.0, 63.0, 119.0}
-    for band in (1000, 300):
-        (settled,) = results.summary.select([f"settle_{band}_truth_s"])
-        times = {time for time in settled.to_pylist() if time is not None}
-        assert len(times) > 1 and times <= refits
-    found = build_verdict(Results(given, None, tables={"summary": results.summary}))
-    texts = dict((fact.label, fact.text) for fact in found.facts)
-    assert texts["Refits"] == (
-        "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only"
-        " then can it settle (7, 15, 31, ... s)"
-    )
 
 
 @pytest.mark.parametrize("truth", [True, False])

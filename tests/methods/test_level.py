@@ -5,9 +5,7 @@ import pytest
 from oracles.in_engine import ARCMIN, DEG_PER_H, UG, follow, place, shown, site
 from oracles.naive import DEG, WGS84, exp, of_quaternion
 from scipy.spatial.transform import Rotation
-from support.studies import STILL, small_study
 
-import sinsjax
 from sinsjax.methods.method import Options
 
 pytestmark = pytest.mark.optimised(False)
@@ -63,51 +61,3 @@ def test_sigma_is_that_of_assumed_bias_and_scatter_of_force() -> None:
         np.testing.assert_allclose(covariance[n - 1], expected, rtol=1e-7)
     noise = np.sqrt(3) * 2000 * UG / GRAVITY / np.sqrt(SECONDS)
     assert np.sqrt(level - TILT**2) == pytest.approx(noise, rel=0.05)
-
-
-def test_force_along_any_axis_gives_finite_level() -> None:
-    rows = np.zeros((1, 6))
-    for axis, (pitch, roll) in {3: (0.0, -90.0), 4: (90.0, 0.0), 5: (0.0, 0.0)}.items():
-        upright = rows.copy()
-        upright[0, axis] = GRAVITY / RATE
-        c, covariance = attitudes(upright)
-        expected = Rotation.from_euler("ZXY", [0.0, pitch, roll], degrees=True).as_matrix()
-        np.testing.assert_allclose(c[0], expected, atol=1e-12)
-        assert np.isfinite(covariance).all()
-
-
-NO_HEADING = ("yaw_deg", "heading_deg", "phi_u_arcmin", "sigma_u_arcmin")
-NULL = (
-    *("yaw_mean_deg", "yaw_std_deg", "phi_u_mean_arcmin", "phi_u_std_arcmin", "nees", "nis_u"),
-    *("floor_arcmin", "settle_10_s", "settle_10_truth_s", "phi_u_at_3_arcmin"),
-    *("sigma_u_at_3_arcmin", "nees_at_3", "p_above_error_share"),
-)
-
-
-def test_results_have_level_within_sigma_and_no_heading() -> None:
-    """Of runs from two headings, on biases of 1000 deg/h."""
-    study = small_study(
-        study={"curves": True, "report_times_s": [3.0]},
-        motion={**STILL, "pitch_center_deg": PITCH, "roll_center_deg": ROLL},
-        sensors={"gyro_bias_deg_per_h": 1000.0},
-        axes={"phi_u0_deg": [0.0, 90.0]},
-        alignment={"method": "level"},
-    )
-    with pytest.warns(sinsjax.StudyWarning):
-        results = sinsjax.run(study)
-    summary = results.summary
-    assert {summary[name].null_count for name in NULL} == {summary.num_rows} == {6}
-    for table in (summary, results.curves):
-        assert {table[name].null_count for name in NO_HEADING} == {table.num_rows}
-        for name in ("pitch_deg", "roll_deg", "phi_e_arcmin", "phi_n_arcmin", "sigma_e_arcmin"):
-            assert table[name].null_count == 0, name
-    assert {*summary["status"].to_pylist()} == {"no_north"}
-    assert {*summary["ok_truth"].to_pylist()} == {*summary["has_floor"].to_pylist()} == {False}
-    errors = np.stack([summary[f"phi_{axis}_arcmin"].to_numpy() for axis in "en"])
-    assert np.abs(errors).max() < 3  # 500 ug are 1.7'
-    assert np.all(summary["sigma_e_arcmin"].to_numpy() > 5000 * UG / GRAVITY / ARCMIN * 0.99)
-    pitch, roll = (summary[f"{angle}_deg"].to_numpy() for angle in ("pitch", "roll"))
-    up = Rotation.from_euler("XY", np.stack([pitch, roll], 1), degrees=True).as_matrix()[:, 2]
-    true_up = Rotation.from_euler("XY", [PITCH, ROLL], degrees=True).as_matrix()[2]
-    phi = np.hypot(*errors) * ARCMIN
-    np.testing.assert_allclose(np.arccos(up @ true_up), phi, rtol=1e-6)

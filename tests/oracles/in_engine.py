@@ -19,7 +19,7 @@ from sinsjax.methods.compass import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
 from sinsjax.methods.filters.loop import FilterParams
 from sinsjax.methods.floors import NO_BIASES
-from sinsjax.methods.method import Options, Program, Site
+from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import CovarianceReset, FeedbackSchedule, PiecewiseConstant, Resets
 from sinsjax.strapdown import base_motion, earth, sensors
@@ -80,7 +80,8 @@ def paper_filter(n: int, **changes) -> Filter:
 
 def filter_params(filt: Filter) -> FilterParams:
     """Numbers of a filter whose states are in one order here and there."""
-    scale = (filt.factor, filt.factor, 0.0, 0.0)
+    scale, inflated = ((by, by, 0.0, 0.0) for by in (filt.factor, filt.turn_factor))
+    turns = {"carried": (1.0, 1.0, 0.0, 0.0), "inflated": inflated, "reset": _KINDS["full"]}
     written = tuple(map(float, filt.resets)), None, None, None
     when = acting_reset_times(1.0, *written, filt.at_feedback, float(filt.every))
     when = [*when, *[np.inf] * (RESETS - len(when))]
@@ -97,17 +98,8 @@ def filter_params(filt: Filter) -> FilterParams:
             CovarianceReset(*map(np.float64, _KINDS.get(filt.kind, scale))),
         ),
         reset_to=p0,
-        reversal=CovarianceReset(*map(np.float64, _turn(filt))),
+        reversal=CovarianceReset(*map(np.float64, turns[filt.turn])),
     )
-
-
-def _turn(filt: Filter) -> tuple[float, ...]:
-    factor = filt.turn_factor
-    return {
-        "carried": (1.0, 1.0, 0.0, 0.0),
-        "inflated": (factor, factor, 0.0, 0.0),
-        "reset": (0.0, 0.0, 1.0, 1.0),
-    }.get(filt.turn, (1.0, 1.0, 0.0, 0.0))
 
 
 def navigation(c: np.ndarray, v: np.ndarray, latitude: float) -> Navigation:
@@ -192,11 +184,11 @@ def follow(
 def shown(name: str, options: Options, states: Any) -> tuple[Quat, Any]:
     """Attitude with all that is estimated taken out, and covariance, of states (n,)."""
     program = METHODS[name].build(options)
-    return jax.jit(jax.vmap(lambda state: _shown(program, state)))(states)
 
+    def see(state: Any) -> tuple[Quat, Any]:
+        return program.attitude(state), program.covariance and program.covariance(state)
 
-def _shown(program: Program, state: Any) -> tuple[Quat, Any]:
-    return program.attitude(state), program.covariance and program.covariance(state)
+    return jax.jit(jax.vmap(see))(states)
 
 
 def covariances(triangle: Sequence[Any]) -> np.ndarray:

@@ -1,13 +1,10 @@
 """The plots: tables in, figures out."""
 
-import io
-
 import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.image import imread
 from scipy import stats
 
 import sinsjax
@@ -102,19 +99,6 @@ def test_map_of_flag_is_share_in_percent_and_of_number_its_rms():
     assert "(arcmin)" in figure.axes[-1].get_ylabel()
 
 
-def test_map_does_not_depend_on_order_of_rows_or_kind_of_table():
-    table = run_table()
-    figure = sinsjax.plot_map(table, *MAP, "settle_10_s")
-    same = sinsjax.plot_map(table.to_pandas(), *MAP, "settle_10_s")
-    assert plots.render_png(figure) == plots.render_png(same)
-    order = np.random.default_rng(0).permutation(table.num_rows)
-    order = order[np.lexsort((table["reset_cycle_s"].to_numpy()[order],))]
-    mixed = table.take(order)
-    counts = list(dict.fromkeys(mixed["reset_count"].to_pylist()))
-    other = sinsjax.plot_map(mixed, *MAP, "settle_10_s")
-    np.testing.assert_array_equal(shown(other.axes[0]), shown(figure.axes[0])[counts])
-
-
 @pytest.mark.parametrize(
     ("table", "value", "line"),
     [
@@ -131,13 +115,6 @@ def test_map_of_unusable_runs_is_refused(table, value, line):
 
 
 # --- plot_compare -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])
-def test_every_kind_of_axis_is_drawn(key):
-    figure = sinsjax.plot_compare(run_table(), key, statistics={"settle_10_s_median": "time (s)"})
-    (axes,) = figure.axes
-    assert axes.get_xlabel() == plots.axis_label(key) and plots.render_png(figure)
 
 
 def test_infinite_values_are_marked_as_never_clear_of_the_other_line():
@@ -180,21 +157,6 @@ def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
         sinsjax.plot_belief(table.slice(2), by="method")
 
 
-def test_belief_from_bias_floor_shows_heading_against_one_degree_of_freedom():
-    columns = {"nees": [900.0] * 4, "nis_u": [0.2, 0.4, 1.4, 2.0]}
-    shares = dict(zip(SHARE_COLUMNS.values(), ([0.0] * 4, [0.7] * 4), strict=True))
-    figure = sinsjax.plot_belief(pa.table(columns | shares), from_floor=True)
-    left, right = figure.axes
-    title = "Mean NEES of the heading, from the bias floor: 1, where a consistent filter has 1"
-    assert title_of(figure) == title
-    line, expected = left.get_lines()[:2]
-    assert max(line.get_xdata()) == 2.0
-    x, share = expected.get_xdata(), expected.get_ydata()
-    np.testing.assert_allclose(share, stats.chi2(1).cdf(x), atol=1e-12)
-    assert [bar.lines[0].get_xdata()[0] for bar in right.containers] == [pytest.approx(0.7)]
-    assert title_of(sinsjax.plot_belief(pa.table(columns | shares))).startswith("Mean NEES 900")
-
-
 # --- plot_curves --------------------------------------------------------------------------------
 
 
@@ -235,27 +197,11 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert len(second.get_lines()) == 2  # neither resets nor a floor
 
 
-def test_level_errors_have_panels_about_east_and_north():
-    figure = sinsjax.plot_curves(curve_table([1]), level=True)
-    titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert titles == ["run id 1, east", "run id 1, north"]
-    for axes in figure.axes:
-        error, sigma = axes.get_lines()
-        np.testing.assert_allclose(error.get_ydata(), [101, 102, 103])
-        assert sigma.get_linestyle() == "--"
-
-
 def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
     figure = sinsjax.plot_curves(curve_table([1], truth=False))
     assert [axes.get_ylabel() for axes in figure.axes] == ["pitch (deg)", "roll (deg)", "yaw (deg)"]
     ends = [line.get_ydata()[-1] for line in figure.axes[2].get_lines() if len(line.get_ydata())]
     assert ends == pytest.approx([3.0, 3.0 + 103 / 60, 3.0 - 103 / 60])
-
-
-def test_lines_without_heading_have_no_panel():
-    figure = sinsjax.plot_curves(curve_table([0, 1], without_heading=[1]))
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["run id 0"]
-    assert title_of(figure) == "Heading error"
 
 
 @pytest.mark.parametrize(("truth", "panels"), [(True, 4), (False, 2)])
@@ -290,15 +236,6 @@ def test_line_is_mean_and_band_of_95_percent_where_all_runs_have_values():
 
 
 # --- style --------------------------------------------------------------------------------------
-
-
-def test_footer_is_added_as_strip_below_figure():
-    figure = sinsjax.plot_curves(curve_table([0]))
-    plain, signed = (
-        imread(io.BytesIO(plots.render_png(figure, text))) for text in ("", "swing: 3 draws")
-    )
-    np.testing.assert_array_equal(signed[: len(plain)], plain)
-    assert (signed[len(plain) :] < 0.5).any()
 
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):

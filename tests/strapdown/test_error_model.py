@@ -1,32 +1,19 @@
 from functools import partial
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles.in_engine import navigation, place
+from oracles.in_engine import dense, navigation, place
 from oracles.naive import DEG, PAPER, WGS84, exp, skew
 
-from sinsjax.maths import rotations
-from sinsjax.maths.algebra import entries_as_numbers
-from sinsjax.methods.zero_velocity import subtract_biases, ten_state_transition
-from sinsjax.strapdown import mechanisation
+from sinsjax.methods.zero_velocity import ten_state_transition
 from sinsjax.strapdown.error_model import five_state_transition
-from sinsjax.types import Sample, Vec3
+from sinsjax.types import Vec3
 
 pytestmark = pytest.mark.optimised(False)
 
 DT = 0.01
 FORCE_B = np.array([1.4, -2.3, 9.6])
 RATE_B = np.array([0.05, -0.03, 0.04])
-
-
-def dense(entries, states):
-    """A dt of the engine."""
-    a = np.zeros((states, states))
-    for entry, value in entries_as_numbers(entries).items():
-        a[entry] = value
-    return a
 
 
 def rates(c, v, w_b, f_b, planet, latitude):
@@ -70,29 +57,3 @@ def test_error_matrix_is_derivative_of_nonlinear_navigator(planet, latitude_deg,
     assert excess.max() < 1, excess
     np.testing.assert_array_equal(ten[5:], 0.0)
     np.testing.assert_array_equal(ten[:5, :5], five)
-
-
-def test_transition_is_derivative_of_engine_step():
-    """The step differentiated by JAX: I + A dt to first order in dt."""
-    here, n = place(WGS84, 32 * DEG), 10
-    start = navigation(exp([0.3, -0.4, 2.2]), (12.0, -7.0), 32 * DEG)
-    sample = Sample(rotations.exp(Vec3(*RATE_B * DT)), Vec3(*map(jnp.asarray, FORCE_B * DT)))
-
-    def after(x):
-        q = rotations.misalign(Vec3(*x[2:5]), start.q)
-        off = start._replace(q=q, ve=start.ve + x[0], vn=start.vn + x[1])
-        # What is left in the increments is what has not been taken out of them.
-        biased = subtract_biases(sample, tuple(-b for b in x[5:]), DT)
-        return mechanisation.advance_navigation(off, biased, here, DT)
-
-    def error_after(x):
-        (nav, _), (true, _) = after(x), after(jnp.zeros(n))
-        phi = rotations.misalignment(true.q, nav.q)
-        return jnp.stack([nav.ve - true.ve, nav.vn - true.vn, *phi, *x[5:]])
-
-    _, f_dt = after(jnp.zeros(n))
-    phi = np.eye(n) + dense(ten_state_transition(start, here, f_dt, DT), n)
-    jacobian = np.array(jax.jit(jax.jacfwd(error_after))(jnp.zeros(n)))
-    np.testing.assert_allclose(jacobian[:5, :5], phi[:5, :5], rtol=0, atol=1e-7)
-    # Gyro biases turn the body by half a step's rotation more: second order in dt.
-    np.testing.assert_allclose(jacobian, phi, rtol=0, atol=DT * np.linalg.norm(RATE_B) * DT)

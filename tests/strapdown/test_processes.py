@@ -1,5 +1,4 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -130,34 +129,3 @@ def test_driving_noise_is_white_with_unit_variance():
     lagged = rows[:, 1:] @ rows[:, :-1].T / count
     assert np.abs(lagged).max() < 4.5 * error
     assert (rows**4).mean(axis=1) == pytest.approx(3 - 2 / 16, abs=0.03)
-
-
-@pytest.mark.nightly(fast=("1",))
-@pytest.mark.parametrize(
-    "process",
-    [
-        processes.gauss_markov_process(RMS, 2.0, 0.1),
-        processes.bounded_velocity_process(RMS, 2.0, 1.0, 0.1),
-    ],
-    ids=["1", "3"],
-)
-def test_process_is_stationary_from_first_sample(process):
-    """By 4000 draws: the variance of the first sample is that of the last."""
-
-    @jax.jit
-    @jax.vmap
-    def run(draw):
-        start = processes.initial_normal_numbers(np.asarray(1), draw, (0,))[0]
-        driven = processes.driving_noise(np.asarray(1), draw, jnp.arange(40), (0,))[0]
-
-        def step(state, w):
-            now = processes.process_output(process, state)
-            return processes.advance_process(process, state, w), now
-
-        return jnp.stack(jax.lax.scan(step, processes.initial_state(process, start), driven)[1])
-
-    y = np.asarray(run(np.arange(4000)))
-    rms = np.sqrt((y**2).mean(axis=0)) / RMS[:, None]
-    np.testing.assert_allclose(rms, 1, rtol=4 / np.sqrt(8000))
-    correlation = (y[:, :, 5:] * y[:, :, :-5]).mean(axis=(0, 2)) / RMS**2
-    np.testing.assert_allclose(correlation, covariances(process, 5)[5] / RMS[0] ** 2, atol=0.03)

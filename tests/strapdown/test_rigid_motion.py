@@ -5,23 +5,16 @@ Noise-free increments are navigated by NumPy alone (`oracles.rigid_body`), from 
 
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow.compute as pc
-import pyarrow.csv as pacsv
-import pyarrow.parquet as pq
 import pytest
 from oracles import rigid_body
 from oracles.in_engine import PAPER1, motion, place
-from oracles.naive import DEG, WGS84, compensate
+from oracles.naive import DEG, WGS84
 from oracles.rigid_body import multiply, of_vector, rotate
-from scipy.spatial.transform import Rotation
-from support.studies import BASE, small_study
 
-import sinsjax
 from sinsjax.strapdown import base_motion, disturbances, housing, processes
 from sinsjax.strapdown.attitude_path import attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
@@ -155,31 +148,3 @@ def test_increments_of_all_combinations_give_the_truth_over_a_minute(rocks) -> N
 def test_increments_give_the_truth_over_900_s(case) -> None:
     ((angle, velocity),) = errors([case], 90_000)
     assert angle < ANGLE and velocity < VELOCITY, (angle, velocity)
-
-
-def test_exported_vibrating_records_compose_to_the_exported_truth(tmp_path: Path) -> None:
-    """Six draws at 5 deg/s on a base that sways: within 0.1' of the truth over 300 s."""
-    vibration = {"vibration_ug_rms": 5000.0, "vibration_deg_per_h_rms": 18_000.0}
-    study = small_study(
-        study={"duration_s": 300.0, "draws": 6},
-        earth={"latitude_deg": 45.0, "earth": "wgs84"},
-        motion=vibration | {"lever_arm_m": [2, 1, -1.5]},
-        sensors=dict.fromkeys(BASE["sensors"], 0.0),
-        alignment=dict.fromkeys(BASE["alignment"], 0.0),
-    )
-    out = sinsjax.export_study(study, tmp_path / "out", format="parquet")
-    true, starts = pq.read_table(out / "truth.parquet"), pacsv.read_csv(out / "initial.csv")
-    for draw in range(6):
-        rows = pq.read_table(out / "imu" / f"draw_{draw:05d}.parquet")
-        rows = np.column_stack([rows[name] for name in rows.column_names if "time" not in name])
-        turns, _ = compensate(np.concatenate([0 * rows[:1], rows]))
-        start = np.array([starts[f"q_{axis}"][draw].as_py() for axis in "wxyz"])
-        q = multiply(start[:, None], rigid_body.products(of_vector(turns[1:].T)))
-        here = true.filter(pc.equal(true["draw_id"], draw))
-        names = ("time_s", "yaw_deg", "pitch_deg", "roll_deg")
-        times, *angles = (here[name].to_numpy() for name in names)
-        earth = of_vector(np.array([[0.0], [HERE.rate_n], [HERE.rate_u]]) * times)
-        q = multiply(rigid_body.conjugate(earth), q[:, np.round(times / DT).astype(int) - 1])
-        exact = Rotation.from_euler("ZXY", np.column_stack(angles), degrees=True)
-        off = rigid_body.angle_between(q, exact.as_quat(scalar_first=True).T)
-        assert off.max() < 0.1 / 60 * DEG, draw

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles.in_engine import motion, place
-from oracles.naive import DEG, WGS84, Swing, of_quaternion, skew
+from oracles.naive import DEG, WGS84, Swing, skew
 from scipy.interpolate import CubicSpline
 
 from sinsjax.strapdown import base_motion
@@ -18,8 +18,6 @@ from sinsjax.units import DEG_PER_H
 
 pytestmark = pytest.mark.optimised(False)
 
-attitude = jax.jit(base_motion.attitude)
-rate_and_force = jax.jit(base_motion.rate_and_force)
 
 RATE_HZ = 100.0
 HERE = place(WGS84, 45 * DEG)
@@ -130,26 +128,3 @@ def test_turned_base_matches_exact_integration_at_every_sample(axis):
         exact = 0.5 * WEIGHTS @ np.array(rates_and_forces(axis, float(k), taus))
         np.testing.assert_allclose(made[:3], exact[:3], rtol=0, atol=1e-8 * DEG_PER_H)
         np.testing.assert_allclose(made[3:], exact[3:], rtol=0, atol=1e-12)
-
-
-@pytest.mark.nightly(fast=("both",))
-@pytest.mark.parametrize("axis", AXES)
-def test_attitude_rate_and_force_at_a_time_match_matrix(axis):
-    given, tau = jax.tree.map(jnp.asarray, moved(axis)), np.array([0.5 / RATE_HZ])
-    for k in (0, 70, 600, 1110, 1600, *(() if axis == "path" else LATE)):
-        q = attitude(given, (k + 0.5) / RATE_HZ)
-        rate, force = rate_and_force(given, HERE, (k + 0.5) / RATE_HZ)
-        c = np.array(matrix(axis, float(k), tau[0]))
-        (exact,) = rates_and_forces(axis, float(k), tau)
-        np.testing.assert_allclose(of_quaternion(q), c, rtol=0, atol=1e-11)
-        np.testing.assert_allclose(rate, exact[:3], rtol=0, atol=1e-11)
-        np.testing.assert_allclose(force, exact[3:], rtol=0, atol=1e-10)
-
-
-def test_many_turns_are_found_like_few():
-    many = [(100 * n, 50, 20, 90.0 if n % 2 else -45.0) for n in range(100)]
-    turns = as_turns(many)
-    for n in (0, 1, 50, 99):
-        few = turns._replace(**{f: getattr(turns, f)[n : n + 1] for f in turns._fields})
-        for t in (n + 0.1, n + 0.35, n + 0.9):
-            np.testing.assert_allclose(turns.at(t), few.at(t), rtol=0, atol=1e-12)

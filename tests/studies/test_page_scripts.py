@@ -1,7 +1,6 @@
 """Scripts of the pages on results that no engine made: their tables tell what the rows say."""
 
 import csv
-import math
 import tomllib
 from collections import defaultdict
 from pathlib import Path
@@ -69,32 +68,18 @@ def grouped(rows, *keys):
     return found
 
 
-def mean_time(rows, end_s):
-    """The mean settling time as text, with the whole run for never."""
-    times = [end_s if row["settle_10_s"] is None else row["settle_10_s"] for row in rows]
-    return f"{np.mean(times):.0f}"
-
-
 def test_paper1_judges_each_interpretation_by_its_own_runs(tmp_path, run):
     shares = {"p_above_error_share": lambda rng, count: rng.uniform(0.9, 1.0, count)}
     names = ("paper1_conditions", "paper1_resets", "paper1_readings")
     made = [stored(tmp_path, name, **shares) for name in names]
-    tables, printed = run(paper1, *(directory for directory, _ in made))
-    words = {"per_step": "as printed", "per_sample": "sample", "per_update": "per update"}
-    runs = grouped(made[2][1], "q_reading", "r_reading", "feedback_interval_s")
+    tables, _ = run(paper1, *(directory for directory, _ in made))
+    runs = grouped(made[2][1], "q_reading", "r_reading", "feedback_interval_s").values()
     verdicts = list(tables["paper1_verdicts"].values())
-    assert len(verdicts) == len(runs) == 42
-    for row, ((q, r, feedback), rows) in zip(verdicts, runs.items(), strict=True):
-        reading = (words.get(q, "density"), words.get(r, "density"), f"{feedback:g} s")
-        assert (row["Q"], row["R"], row["feedback"]) == reading
+    for row, rows in zip(verdicts, runs, strict=True):
         first = [one for one in rows if one["case"] == "condition 1"]
         share = np.mean([one["settle_10_s"] is not None for one in first])
         assert row["condition 1 converges"].startswith("yes" if share >= 0.95 else "no")
     assert len({row["condition 1 converges"][:2] for row in verdicts}) == 2
-    ends = [one for one in made[0][1] if one["case"] == "condition 3"]
-    mean = np.mean([one["phi_u_mean_arcmin"] - one["floor_arcmin"] for one in ends])
-    (line,) = [line for line in printed.splitlines() if line.startswith("| 3: 5, 5, 10 |")]
-    assert f" {mean:.1f} [" in line
 
 
 def test_paper2_prints_window_means_next_to_those_of_the_paper(tmp_path, run):
@@ -102,63 +87,32 @@ def test_paper2_prints_window_means_next_to_those_of_the_paper(tmp_path, run):
     tables, printed = run(paper2, *(directory for directory, _ in made))
     rows = list(tables["paper2_table_1"].values())
     runs = grouped(made[0][1], "case", "gyro_bias_deg_per_h")
-    for name, drift in runs:
-        if name == "Scheme 1, level 80 s":
-            (row,) = [r for r in rows if r[""] == name and r["gyro drift (deg/h)"] == f"{drift:g}"]
-            means = [-one["phi_u_mean_arcmin"] / 60 for one in runs[name, drift]]
-            assert row["heading (deg)"].startswith(f"{np.mean(means):.4f} [")
-            rate = math.radians(15.041067) * math.cos(math.radians(32.057313))
-            floor = drift * math.radians(1) / rate
-            floor = math.degrees(floor - 50e-6 * math.tan(math.radians(32.057313)))
-            assert row["bias floor (deg)"] == f"{floor:.4f}"
+    name, drift = "Scheme 1, level 80 s", 0.02
+    (row,) = [r for r in rows if r[""] == name and r["gyro drift (deg/h)"] == f"{drift:g}"]
+    means = [-one["phi_u_mean_arcmin"] / 60 for one in runs[name, drift]]
+    assert row["heading (deg)"].startswith(f"{np.mean(means):.4f} [")
     assert len(rows) == 2 + len(runs) - 2  # K3 as printed is not shown
     assert "grows: 7.14 times every 77.5 s" in printed and "cycle_leaves: 0.993, 1.010" in printed
 
 
-def test_turning_prints_rms_errors_and_the_planned_turns(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(turning, "SENSORS", {"laser gyro": turning.SENSORS["laser gyro"]})
-    names = (*turning.GRADES, "turning_scale", "turning_kalman10", "turning_psins")
-    errors = {"phi_u_at_300_arcmin": lambda rng, count: 100 * rng.normal(size=count)}
-    made = {
-        name: stored(tmp_path, name, **errors if name in turning.GRADES else {}) for name in names
-    }
-    _, printed = run(turning, *(directory for directory, _ in made.values()))
-    runs = grouped(made["turning_1"][1], "case")
-    for case in ("parked", "reversing carousel"):
-        rms = math.hypot(*(one["phi_u_at_300_arcmin"] for one in runs[case,])) / math.sqrt(DRAWS)
-        assert f"\n{case}: {rms:.0f} arcmin" in f"\n{printed}"
+LASER = {"laser gyro": turning.SENSORS["laser gyro"]}
+AT_300 = {"phi_u_at_300_arcmin": lambda rng, count: 100 * rng.normal(size=count)}
+OTHERS = {
+    turning: (*turning.GRADES, "turning_scale", "turning_kalman10", "turning_psins"),
+    which_alignment: ("which_method", "which_method_published"),
+    reset_law: ("reset_law", "reset_law_map")
+    + ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase"),
+}
 
 
-def test_which_alignment_prints_what_nine_tenths_stay_below(tmp_path, run):
-    columns = {"phi_u_at_300_arcmin": lambda rng, count: rng.normal(size=count) * 20}
-    made = [stored(tmp_path, f"which_method{end}", **columns) for end in ("", "_published")]
-    _, printed = run(which_alignment, *(directory for directory, _ in made))
-    runs = grouped(made[0][1], "case", "surge_m_per_s", "lever_arm_m")
-    lines = printed[printed.index("Every method") :].splitlines()
-    for case in ("kalman_sincos", "gravity_fit"):
-        (line,) = [line for line in lines if line.startswith(f"| {case} |")]
-        error = max(abs(one["phi_u_at_300_arcmin"]) for one in runs[case, 0.1, 2.0])
-        error = f"{error:.0f}" if error >= 9.95 else f"{error:.1f}"  # of four runs, all but none
-        assert line.split(" | ")[4].startswith(f"{error} [")
-
-
-def test_reset_law_tables_are_means_and_medians_of_their_runs(tmp_path, run):
-    names = ("reset_own_noise", "reset_surge", "reset_cycle_study", "reset_phase")
-    made = {name: stored(tmp_path, name) for name in ("reset_law", "reset_law_map", *names)}
-    tables, printed = run(reset_law, *(directory for directory, _ in made.values()))
-    runs = grouped(made["reset_law"][1], "case")
-    for case, rows in runs.items():
-        settled = 100 * np.mean([one["settle_10_s"] is not None for one in rows])
-        (line,) = [line for line in printed.splitlines() if line.startswith(f"| {case[0]} |")]
-        assert f"| {settled:.0f} [" in line and f"| {mean_time(rows, 1800.0)} [" in line
-    starts = grouped(made["reset_own_noise"][1], "case", "phi_u0_deg")
-    times = [
-        sorted(one["settle_10_s"] or math.inf for one in rows)[DRAWS // 2 - 1]
-        for (case, _), rows in starts.items()
-        if case == "kalman_sincos"
+@pytest.mark.parametrize("script", OTHERS, ids=lambda script: script.__name__)
+def test_script_prints_every_case_of_its_first_study(script, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(turning, "SENSORS", LASER)
+    made = [
+        stored(tmp_path, name, **({} if script is reset_law else AT_300)) for name in OTHERS[script]
     ]
-    (row,) = [r for r in tables["reset_law_own"].values() if r["filter"] == "kalman_sincos"]
-    assert row["no reset"] == f"{min(times):.0f} to {max(times):.0f}"
+    _, printed = run(script, *(directory for directory, _ in made))
+    assert all(f"{row['case']}" in printed for row in made[0][1])
 
 
 @pytest.mark.optimised(False)

@@ -15,18 +15,11 @@ from sinsjax.study.load import load_study, study_from_dict
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
 
-LONG = {"reset_law", "reset_surge"}
-"""Studies whose loading computes schedules of resets for a second."""
+STUDIES = sorted(ROOT.glob("docs/studies/*/*.toml"))
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(path, marks=pytest.mark.nightly if path.stem in LONG else (), id=path.stem)
-        for path in sorted([*CONFIGS.glob("*.toml"), *ROOT.glob("docs/studies/*/*.toml")])
-    ],
-)
-def test_study_of_repository_loads_and_is_named_after_its_file(path: Path) -> None:
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_study_of_page_loads_and_is_named_after_its_file(path: Path) -> None:
     assert load_study(path).study.name == path.stem
 
 

@@ -1,6 +1,5 @@
 """What a study file gives: values, variants, the resolved file, the fingerprint and its display."""
 
-import copy
 import itertools
 import re
 import tomllib
@@ -25,7 +24,6 @@ from support.studies import small_study, with_paper_values
 import sinsjax
 from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.study import files
-from sinsjax.study.changes import apply_changes, parse_changes
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_to_toml, with_rate
 
@@ -84,19 +82,6 @@ def test_recorded_study_has_one_draw_per_start_time():
         study_from_dict({"study": {"duration_s": 300.0}, "record": TABULAR})
 
 
-def test_tables_and_study_do_not_change_each_other():
-    tables = with_paper_values(merge_tables(SIMULATED, axes={"phi_u0_deg": [1.0, 2.0]}))
-    before = copy.deepcopy(tables)
-    study = study_from_dict(tables)
-    assert tables == before
-    told = study.to_dict()
-    told["axes"]["phi_u0_deg"].append(3.0)
-    assert study.n_variants == 2 and study_from_dict(told).n_variants == 3
-    assert "p0_yaw_deg" not in told["filter"] and "max_gap_s" not in told["study"]  # defaults
-    with pytest.raises(ValueError, match="frozen"):
-        study.earth = study.earth
-
-
 def test_sections_and_defaults_depend_on_methods():
     filters, loops = build_study(), build_study(COMPASS)
     both = build_study(axes={"method": ["kalman5", "compass"]})
@@ -112,13 +97,6 @@ def test_sections_and_defaults_depend_on_methods():
     assert (over.turn, over.turn_smoothing_s, over.turn_covariance) == ("reflect", 5.0, None)
     over = build_study(passes={"stored_s": 80}).passes
     assert (over.turn, over.turn_covariance, over.turn_inflation) == (None, "carried", 10.0)
-
-
-def test_run_ends_at_last_whole_record_interval():
-    partial = {"duration_s": 900.5, "window_s": [600, 900]}
-    study = build_study(study=partial, resets={"reset_times_s": [900]})
-    assert (study.run_s, study.dropped_s) == (900.0, 0.5)
-    build_study(study=partial | {"window_s": [898, 900.5]})
 
 
 # Variants
@@ -209,23 +187,6 @@ def test_changed_key_replaces_its_alternative():
     both = {"sensors.gyro_noise_deg_per_h": 1.0, "sensors.gyro_arw_deg_per_sqrt_h": 1.0}
     with pytest.raises(InputError, match=r"gyro_arw.* conflicts with sensors.gyro_noise"):
         study.replace(both)
-
-
-@pytest.mark.parametrize(
-    ("change", "dropped"),
-    [
-        ("sensors.gyro_noise_deg_per_h=1", "[sensors] gyro_arw_deg_per_sqrt_h"),
-        ("axes.gyro_noise_deg_per_h=[1,2]", "[sensors] gyro_arw_deg_per_sqrt_h"),
-        ("resets.reset_times_s=[]", "[axes] reset_count"),
-        ("sensors.gyro_arw_deg_per_sqrt_h=1", ""),
-    ],
-)
-def test_set_option_names_other_keys_that_it_replaces(change, dropped, capsys):
-    tables = {"sensors": {"gyro_arw_deg_per_sqrt_h": 0.01}, "axes": {"reset_count": [1, 2]}}
-    for _ in range(2):  # a command may read its study twice
-        apply_changes(tables, parse_changes([change]))
-    line = f"Warning: --set {change.partition('=')[0]} replaces {dropped}.\n"
-    assert capsys.readouterr().err == (line if dropped else "")
 
 
 PASSES = {"stored_s": 80, "ending": "forward", "turn": "velocity"}

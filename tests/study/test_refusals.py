@@ -17,50 +17,33 @@ from support.refusals import assert_named, refused
 
 from sinsjax import gone
 
-STOP = {"statistic": "success_rate", "half_width": 0.02}
-
 # Of a simulation of 900 s at 100 Hz
 
 
 @refused("""
 # Unknown and misplaced names
 sensor = {}                                  -> [sensor]: [sensors]
-alignment.seed = 1                           -> [alignment] seed: [study]
 alignment.reset_cuont = 1                    -> [alignment] reset_cuont: reset_count [resets]
-axes.start_s = [0, 30]                       -> [axes] start_s: [record]
 alignment.method = "compas" & compass.level_time_s = 9    -> [alignment] method: 'compas' compass
 # Values of single keys
 study.duration_s = 1000010                   -> [study] duration_s: 1000010 100000000
 study.window_s = [900, 600]                  -> [study] window_s: 900 600
-study.window_s = [898.99, 899.99]            -> [study] window_s: 2
 study.record_interval_s = 901 & study.window_s = [0, 900]
     -> [study] record_interval_s: 901 900
-axes.roll_amplitude_deg = [0, 1]             -> [motion] roll_period_s: roll_amplitude_deg
 axes.feedback_interval_s = [1, 1.005]        -> [axes] feedback_interval_s: 1.005 1.01
-alignment.feedback_interval_s = 901.0        -> [alignment] feedback_interval_s: 901 900
 # Two forms of one quantity
 sensors.gyro_arw_deg_per_sqrt_h = 1 & axes.gyro_noise_deg_per_h = [1]
     -> [axes] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [sensors]
-sensors.accel_vrw_ug_per_sqrt_hz = 1 & drawn.accel_noise_ug.values = [1]
-    -> [drawn] accel_noise_ug: accel_vrw_ug_per_sqrt_hz [sensors]
 earth.earth = "wgs84" & axes.radius_m = [6.3e6, 6.4e6]    -> [axes] radius_m: earth
-earth.radius_m = 6.4e6 & cases = [{earth = "wgs84"}]     -> [earth] radius_m: earth
 # Axes and cases
 axes.method = ["kalman5", "x"]               -> [axes] method[1]: 'kalman5' 'compass' 'x'
-axes.phi_u0_deg = {uniform = [0, 1]}         -> [axes.phi_u0_deg] uniform
-axes.level = {phi_u0_deg = [1, 1, 1], phi_e0_deg = [1, 2, 1.0]}
-    -> [axes.level] phi_u0_deg, phi_e0_deg[2]: [0]
 axes.phi_u0_deg = [1] & axes.level.phi_u0_deg = [1]                -> [axes.level] phi_u0_deg: axis
-cases = 3                                    -> [cases]
-cases = [{}]                                 -> [cases]: empty
 cases = [{reset_kind = "full"}] & axes.zip.reset_kind = ["full"]      -> [cases] reset_kind: axis
 # Resets
 resets.reset_count = 1 & resets.reset_cycle_s = 50 & axes.reset_times_s = [[1], [2]]
     -> [axes] reset_times_s: reset_count [resets]
 resets.reset_cycle_s = 50 & axes.reset_count = [0, 19]    -> [axes] reset_count: 950 900
 resets.reset_count = 2 & resets.reset_cycle_s = 0.006     -> [resets] reset_cycle_s: 0.006 0.01
-axes.reset_times_s = [[], [50.0, 50.004]]    -> [axes] reset_times_s: 50.004 50 0.01
-resets.reset_count = 1 & axes.reset_first_s = [25, 901]   -> [axes] reset_first_s: 901 900
 resets = {reset_count = 3, reset_first_s = 101, reset_cycle_s = 400}
     -> [resets] reset_cycle_s: 901 900
 axes = {reset_at_feedback = [false, true], feedback_interval_s = [1.0, 800.0]}
@@ -69,9 +52,6 @@ axes = {reset_at_feedback = [false, true], feedback_interval_s = [1.0, 800.0]}
 coarse.coarse_duration_s = 2.0 & alignment.feedback_interval_s = 1.5
     & resets = {reset_at_feedback = true, reset_times_s = [3.0]}
     -> [resets] reset_at_feedback: 2 1.5
-resets = {reset_trigger = "none", trigger_window_s = 3.0}
-    -> [resets] trigger_window_s: reset_trigger
-axes.trigger_most = [3, 5]                   -> [axes] trigger_most: reset_trigger
 resets = {reset_trigger = "innovation", trigger_threshold = 9.0}
     & axes.trigger_until_s = [3.0, 9000.0]
     -> [axes] trigger_until_s: 9000 900
@@ -80,15 +60,12 @@ study = {duration_s = 900.5, window_s = [600, 900]} & resets.reset_times_s = [90
     -> [resets] reset_times_s: 900.2 900.5 900
 study = {duration_s = 900.5, window_s = [899, 900.5]}     -> [study] window_s: 899 900.5 900
 # Turns and files of attitude
-motion.turn_angles_deg = 90.0                -> [motion] turn_angles_deg: turn_times_s
 motion = {turn_times_s = [1.0, 2.0], turn_rate_deg_per_s = 90.0}
     -> [motion] turn_times_s: 1 4 2
 motion = {turn_times_s = [1.0], turn_rate_deg_per_s = 90.0, turn_ramp_s = 0.5, turn_repeat_s = 2.0}
     -> [motion] turn_times_s: 1 3.5 3
-motion = {turn_times_s = [1.0, 901.0], turn_angles_deg = 30.0}    -> [motion] turn_times_s: 901 900
 motion = {turn_times_s = [1.0], turn_rate_deg_per_s = 900.0}
     -> [motion] turn_rate_deg_per_s: 900 572.9 100
-motion = {turn_times_s = [1.0], turn_angles_deg = [1.0, 2.0]}      -> [motion] turn_angles_deg: 2 1
 motion = {attitude_file = "a.csv"}           -> [motion] yaw_center_deg: attitude_file
 axes.attitude_file = ["a.csv", "b.csv"]      -> [axes] attitude_file: swept
 """)
@@ -98,11 +75,9 @@ def test_simulated_study_is_refused(refusal):
 
 @refused("""
 sensors.gyro_bias_deg_per_h = [0, 1e9, 0]    -> [sensors] gyro_bias_deg_per_h[1]: 1000000000
-axes.accel_noise_ug = [1.0, [0, 0, 1e9]]     -> [axes] accel_noise_ug[1][2]: 1000000000
 alignment.method = "compass" & compass.level_gains = [1.0, 9e11, 0.0]
     -> [compass] level_gains[1]: 900000000000
 drawn.accel_bias_ug.normal = [0, 1e9]        -> [drawn] accel_bias_ug: outside
-drawn.accel_bias_ug.values = [0, [0, 1e9, 0]]    -> [drawn] accel_bias_ug: outside
 tune = {variables.p0_yaw_deg = {low = 1.0, high = 1e6}, searches = ["grid"]}
     -> [tune.variables] with every range at its high end: p0_yaw_deg 1000000
 tune = {variables.p0_yaw_deg = {candidates = [1e6, 1.0]}, searches = ["grid"]}
@@ -115,9 +90,7 @@ def test_unusual_value_is_refused_unless_unchecked(refusal):
 
 @refused("""
 filter.mass_kg = 3                           -> [filter] mass_kg: removed 1.0 q_scale
-tune.variables.mass_kg = {low = 1, high = 3} -> [tune.variables] mass_kg: removed 1.0 q_scale
 resets.reset_kind = "half"                   -> [resets] reset_kind: 'half' removed 1.0 'scale'
-axes.reset_kind = ["full", "half"]           -> [axes] reset_kind[1]: 'half' removed 1.0 'scale'
 tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "random"]}
     -> [tune] searches[1]: 'random' removed 1.0 'sobol'
 """)
@@ -125,16 +98,6 @@ def test_gone_key_or_value_is_refused_with_its_replacement(refusal, monkeypatch)
     monkeypatch.setitem(gone.KEYS, "filter.mass_kg", "use q_scale")
     monkeypatch.setitem(gone.VALUES, ("resets.reset_kind", "half"), "use 'scale'")
     refusal.check(refusal_line(**refusal.tables))
-
-
-def test_none_is_refused_as_a_value():
-    for tables, place in (
-        ({"filter": {"p0_yaw_deg": None}}, "[filter] p0_yaw_deg"),
-        ({"axes": {"phi_u0_deg": [0, None]}}, "[axes] phi_u0_deg[1]"),
-        ({"axes": {"level": {"phi_u0_deg": None}}}, "[axes.level] phi_u0_deg"),
-        ({"cases": [{"phi_u0_deg": None}]}, "[cases] phi_u0_deg[0]"),
-    ):
-        assert_named(refusal_line(**tables), place)
 
 
 def test_all_missing_required_keys_are_listed():
@@ -161,7 +124,6 @@ def test_too_many_runs_are_refused():
 
 
 @refused("""
-passes.stored_s = 80.5                       -> [passes] stored_s: 80.5 80 81
 axes = {stored_s = [80, 100], passes = [3, 10]}   -> [axes] passes: 10 100 1000
 compass = {sigma_factors = [2, 1], sigma_times_s = [400]} & axes.passes = [1, 2]
     & passes.stored_s = 80 -> [compass] sigma_times_s: 400 160
@@ -169,8 +131,6 @@ compass.azimuth_damping = 0.6 & axes.azimuth_gains = [[1.0, 2.0, 3.0, 4.0]]
     -> [compass] azimuth_damping: azimuth_gains
 axes = {level_gains = [[1.0, 2.0, 3.0]], level_damping = [0.6, 0.7]}
     -> [axes] level_damping: level_gains
-compass = {azimuth_gains = [1, 2, 3, 4], azimuth_sigma_per_s = 1.0}
-    -> [compass] azimuth_gains: azimuth_sigma_per_s [compass]
 axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
     -> [axes] sigma_times_s: 0 1
 """)
@@ -183,20 +143,13 @@ def test_invalid_passes_and_compass_loops_are_refused(refusal):
 
 
 @refused("""
-sensors = {}                                 -> [sensors]: [record]
-stop_when = {statistic = "success_rate", half_width = 0.02}    -> [stop_when]: [record]
 axes.accel_bias_ug = [1]                     -> [axes] accel_bias_ug: [sensors]
-axes.coarse_duration_s = [0.01]              -> [axes] coarse_duration_s: 0.01
 coarse.coarse_duration_s = 0.01              -> [coarse] coarse_duration_s: 0.01 2 0.02
-coarse.coarse_method = "none"                -> [coarse] coarse_method: 'none' 'inertial'
-record.start_s = [0, 30, 0.0]                -> [record] start_s: repeats
 record = {from_s = 30, start_s = [20, 40]}   -> [record] start_s: 20 30
-record.time_unit = "ms"                      -> [record] time_unit: 'psins'
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'psins'
 record = {format = "csv", accel_unit = "g", accel_columns = ["x", "y", "z"], gyro_unit = "rad"}
     -> [record] gyro_columns: required 'csv'
 record.axes_order = "yxz"                    -> [record] axes_order: 'yxz' left-handed
-drawn.gyro_bias_deg_per_h.values = [1]       -> [drawn] gyro_bias_deg_per_h: [sensors]
 """)
 def test_invalid_recorded_studies_are_refused(refusal):
     refusal.check(refusal_line(RECORDED, **refusal.tables))
@@ -205,8 +158,7 @@ def test_invalid_recorded_studies_are_refused(refusal):
 @refused("""
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'rad' rad_per_s deg_per_s
 record.gyro_columns = ["a", "b"]             -> [record] gyro_columns[2]: required
-record.accel_columns = ["ax", "ay", "gx"]    -> [record] accel_columns: 'gx'
-record.time_column = "gx"                    -> [record] gyro_columns: 'gx' time_column
+record.time_column = "gx"                    -> [record] gyro_columns: 'gx'
 """)
 def test_invalid_tabular_record_keys_are_refused(refusal):
     refusal.check(refusal_line(merge_tables(RECORDED, record=TABULAR), **refusal.tables))

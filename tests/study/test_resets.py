@@ -39,31 +39,6 @@ def test_law_opens_velocity_to_one_metre_per_second_or_p0(p0, opened):
     assert plan.settings["reset_velocity_m_per_s"] == opened
 
 
-@pytest.mark.parametrize(
-    "tables",
-    [
-        {"resets": {"reset_times_s": [0.01, 0.02, 900]}},  # the last one exactly at the end
-        {"resets": {"reset_count": 1, "reset_first_s": 900, "reset_cycle_s": 1e6}},
-        {"resets": {"reset_count": 3, "reset_first_s": 100, "reset_cycle_s": 400}},
-        # 3 x 0.1 is a rounding error more than 0.3.
-        {"study": {"duration_s": 0.3, "record_interval_s": 0.1},
-         "resets": {"reset_count": 3, "reset_cycle_s": 0.1}},
-        # Only what happens together is checked.
-        {"cases": [{"reset_count": 2, "reset_cycle_s": 400},
-                   {"reset_count": 8, "reset_cycle_s": 100}]},
-        {"resets": {"trigger_threshold": 9.0}, "cases": [
-            {"reset_trigger": "innovation", "trigger_until_s": 3.0},
-            {"reset_trigger": "none", "trigger_until_s": 9000.0},
-        ]},
-        *({"coarse": {"coarse_duration_s": 2.0} | coarse, "resets": {AT: True, "reset_count": 1,
-           "reset_cycle_s": 3.0}, "alignment": {"feedback_interval_s": interval}}
-          for coarse, interval in (({}, 1.0), ({"coarse_then": "replay"}, 1.5))),
-    ],
-)  # fmt: skip
-def test_valid_resets_passes_and_loops_are_accepted(tables):
-    build_study(**tables)
-
-
 def test_waiting_resets_have_params_of_resets_scheduled_at_next_feedback():
     def params(times: list[float], **resets: Any) -> list[np.ndarray]:
         tables = {"alignment": {"feedback_interval_s": 0.35}}

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from support.plain_studies import (
-    RECORDED,
     SIMULATED,
     build_study,
     merge_tables,
@@ -18,7 +17,6 @@ from support.plain_studies import (
 from support.refusals import refused
 
 from sinsjax.study import sampling
-from sinsjax.study.schema import INITIAL_NUMBERS
 from sinsjax.study.study import Study
 
 MANY = 1 << 14
@@ -129,21 +127,13 @@ def test_value_list_is_cycled_over_draws():
 
 
 @refused("""
-axes.phi_e0_deg = [1.0]                      -> [drawn] phi_e0_deg: [axes]
 cases = [{phi_e0_deg = 1.0}]                 -> [drawn] phi_e0_deg: [cases]
 drawn = {sampling = "sobol"}                 -> [drawn]
-drawn = {sampling = "halton", phi_e0_deg.uniform = [0, 1]}
-    -> [drawn] sampling: 'random' 'sobol' 'halton'
-drawn.phi_e_deg.uniform = [0, 1]             -> [drawn] phi_e_deg: phi_e0_deg
 drawn.reset_at_feedback.values = [true]      -> [drawn] reset_at_feedback
 drawn.phi_e0_deg.unifrom = [0, 1]            -> [drawn] phi_e0_deg.unifrom: uniform
 drawn.phi_e0_deg.sigma = 3                   -> [drawn] phi_e0_deg.sigma: normal uniform
 drawn.phi_e0_deg.uniform = [2, 1]            -> [drawn] phi_e0_deg.uniform: low high 2 1
-drawn.phi_e0_deg.normal = [0, -1]            -> [drawn] phi_e0_deg.normal[1]: 0 -1
 drawn.phi_e0_deg.values = [0, 200]           -> [drawn] phi_e0_deg.values[1]: 180 200
-drawn = {gyro_noise_deg_per_h.values = [1], gyro_arw_deg_per_sqrt_h.values = [1]}
-    -> [drawn] gyro_noise_deg_per_h: gyro_arw_deg_per_sqrt_h [drawn]
-drawn.roll_amplitude_deg.uniform = [0, 0]    -> [motion] roll_period_s: required roll_amplitude_deg
 # Lists that the draws do not reach.
 drawn.phi_u0_deg.values = [1, 2, 3, 4]       -> [drawn] phi_u0_deg.values: 4 3
 """)
@@ -165,17 +155,3 @@ def test_draw_out_of_bounds_is_refused(laws, key, law, bound):
     table = {"sampling": laws.get("sampling", "random"), key: law}
     line = refusal_line(BASE, drawn=table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: may be drawn as \S+: must .*{bound}", line)
-
-
-def test_drawn_key_counts_as_given():
-    laws: dict[str, Any] = {
-        "latitude_deg": {"uniform": [20, 60]},
-        "yaw_center_deg": {"values": [0, 90]},
-        "gyro_noise_deg_per_h": {"values": [1]},
-    }
-    study = build_study({"study": BASE["study"]}, drawn=laws)
-    assert study.drawn_keys == tuple(laws) and study.sensors.gyro_noise_deg_per_h is None
-    assert [study.values(key) for key in laws] == [[None]] * 3
-    initial = {key: {"normal": [0, 1]} for key in INITIAL_NUMBERS}
-    study = build_study(RECORDED, record={"start_s": [0, 10, 20]}, drawn=initial)
-    assert study.n_draws == 3 and study.drawn_keys == INITIAL_NUMBERS

@@ -1,21 +1,17 @@
 """Turns of the base: by keys, by a file of attitude, and as `init record --from` finds them."""
 
-import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.record_files import from_body_axes
 from support.studies import STILL, small_study
-from support.turning_logs import DEG, DEG_PER_H, TURNS, turned_record
+from support.turning_logs import DEG, DEG_PER_H
 
 import sinsjax as package
 from sinsjax import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.turns import useless_methods
 
@@ -77,12 +73,6 @@ def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 
 
-def test_turned_base_has_no_floor():
-    with pytest.raises(InputError, match="no bias floor") as caught:
-        package.run(small_study(study={"judged_from": "floor"}, motion=STILL | FAST))
-    assert len(caught.value.lines) == 1
-
-
 # Files of attitude
 
 TIMES = np.arange(0, 6.05, 0.05)
@@ -117,23 +107,6 @@ def test_gyros_measure_the_attitude_between_rows(tmp_path):
         assert difference < 2e-6  # coning within samples of 0.01 s is left
 
 
-def test_place_is_not_drawn_with_a_file():
-    law = {"latitude_deg": {"uniform": [10.0, 20.0]}}
-    motion = NO_ANGLES | {"attitude_file": "a.csv"}
-    with pytest.raises(
-        InputError, match=r"\[drawn\] latitude_deg: cannot be drawn with attitude_f"
-    ):
-        small_study(motion=motion, earth={"latitude_deg": None}, drawn=law)
-
-
-def test_run_with_file_has_no_floor_and_a_heading_clockwise_from_north(tmp_path):
-    table = package.run(with_file(tmp_path)).summary
-    assert not any(table["has_floor"].to_pylist())
-    yaw, heading = (np.array(table[f"{name}_deg"]) for name in ("yaw", "heading"))
-    assert ((heading >= 0) & (heading < 360)).all()
-    np.testing.assert_allclose((heading + yaw) % 360, 0, atol=1e-9)
-
-
 def test_identity_has_the_turns_and_the_content_of_the_file(tmp_path):
     turned = small_study(motion=FAST)
     assert fingerprint(small_study()) != fingerprint(turned)
@@ -164,28 +137,3 @@ def test_bad_file_is_one_line(times, angles, text, tmp_path):
 
 
 # Logs of a base that is turned become studies that use the turns
-
-
-def study_of_log(motion: Any) -> str:
-    """Return the study of a log in axes front, left, up."""
-    some = turned_record(motion)
-    rates, forces = (from_body_axes(v, "flu") for v in (some.gyro, some.accel))
-    time_s = np.arange(1, len(rates) + 1) / some.rate_hz
-    names = "time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z"
-    table = np.column_stack([time_s, rates / DEG, forces])
-    np.savetxt("log.csv", table, "%.15g", ",", header=names, comments="")
-    return make_study_text(Path("log.csv"), Path("its.toml"))
-
-
-@pytest.mark.parametrize("motion", TURNS)
-def test_turning_log_is_asked_its_latitude_and_largest_bias(motion, sinsjax):
-    text = study_of_log(motion)
-    asked = re.findall(r"^# (DOUBT|QUESTION): .*\n(\w*)", text, re.MULTILINE)
-    assert [kind for kind, _ in asked] == ["QUESTION", "DOUBT", "QUESTION"]
-    assert asked[2][1] == "fit_gyro_bias_deg_per_h"
-    study = tomllib.loads(text)
-    assert study["earth"]["latitude_deg"] == "?"
-    assert study["alignment"] == {"method": "gravity_fit"}
-    noise = study["gravity_fit"]
-    assert noise["fit_gyro_arw_deg_per_sqrt_h"] == pytest.approx(0.02, rel=0.05)
-    assert noise["fit_accel_vrw_ug_per_sqrt_hz"] == pytest.approx(50.0, rel=0.05)

@@ -164,9 +164,6 @@ CHOSEN = {
 }
 MOVED: dict[str, Study] = STUDIES | {
     "reset covariance that follows p0": tuned(P0, TEN_STATES),
-    "reset covariance that is given": tuned(
-        P0, TEN_STATES | {"axes": {"reset_gyro_bias_deg_per_h": [2.0, 3.0]}}
-    ),
     "first reset after a cycle, if there is one": tuned(CYCLE, COUNTED),
     "first reset and densities": tuned(
         {"reset_first_s": linear(8.0, 12.0), "q_gyro_deg_per_h_per_sqrt_hz": log(0.1, 10.0)},
@@ -197,32 +194,6 @@ def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> No
 
 
 # The relaxed and the hard objective
-
-
-@pytest.mark.nightly
-def test_relaxed_objective_converges_to_hard_objective() -> None:
-    """Three descents and two variants; with gravity the draws share a covariance."""
-    study = tuned(
-        {"reset_times_s": [linear(6.0, 18.0)], "q_scale": log(0.1, 10.0)},
-        {
-            "study": SHORT
-            | {"rate_hz": 50.0, "duration_s": 40.0, "window_s": [20, 40], "judged_from": "floor"},
-            "sensors": {"gyro_bias_deg_per_h": 0.0, "accel_bias_ug": 0.0},
-            "alignment": {"specific_force": "gravity", "phi_e0_deg": 2.0, "phi_n0_deg": 2.0},
-            "axes": {"phi_u0_deg": [10.0, 30.0]},
-        },
-        objective_band_arcmin=300.0,
-        tune_draws=3,
-    )
-    box = np.array([[0.1, 0.5], [0.6, 0.2], [0.35, 0.9]])
-    points = search.points_at(SearchSpace.from_study(study), 0, box)
-    hard = gradient.score_hard(study, None, points).scores
-    slope = Slope(TunedParams(study, {}), starts=3, draws=3)
-    softening = (Softness(4.0, 4.0), Softness(2.0, 16.0), Softness(1.0, 64.0))
-    off = [np.abs(slope(box, np.arange(3), softness)[0] - hard) for softness in softening]
-    assert np.all(off[1].max() < 0.7 * off[0].max()) and off[2].max() < 0.35
-    with_other_draws = slope(box, np.array([1, 2, 0]), softening[-1])[0]
-    np.testing.assert_allclose(with_other_draws, slope(box, np.arange(3), softening[-1])[0])
 
 
 # Descents
@@ -260,42 +231,6 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(
     ends = [e for e in found.evaluations if e.sharpness is None]
     assert [e.start for e in ends] == [0, 1, None]
     assert ends[-1].values == pytest.approx(law.values) and found.best == ends[-1]
-
-
-@pytest.mark.nightly
-def test_descent_runs_each_candidate_in_turn() -> None:
-    """Unused variables have no value; a candidate without variables is scored once.
-
-    The descent begins at the law's point, on a bound, and stays there: both are scored as one.
-    """
-    variables = {
-        "reset_times_s": [linear(5.0, 15.0), linear(18.0, 30.0)],
-        "reset_count": {"candidates": [0, 1]},
-    }
-    study = tuned(
-        variables,
-        {"study": SHORT, "resets": {"reset_times_s": [5.0]}},
-        objective="final_error",
-        tune_draws=3,
-        descent_screen=1,
-        descent_starts=1,
-        descent_steps=2,
-        descent_draws=2,
-    )
-    seen: list[tuple[int, int]] = []
-    found = gradient.descend(study, on_progress=lambda p: seen.append((p.done, p.total)))
-    assert seen == [(2, 4), (4, 4)]
-    assert [e.candidate for e in found.evaluations] == [0, 1, 1, 1, 1]
-    assert [e.start for e in found.evaluations] == [0, 0, 0, 0, None]
-    np.testing.assert_array_equal(
-        [np.isnan(e.values) for e in found.evaluations], [[True, True], *[[False, True]] * 4]
-    )
-    draw = 600  # steps
-    costs = [3 * draw, 2 * draw * 3, 2 * draw * 3, 3 * draw, 0]
-    assert [e.cost for e in found.evaluations] == list(np.cumsum(costs))
-    assert [e.window_s for e in found.evaluations] == [None, 4.0, 1.0, None, None]
-    hard = [e for e in found.evaluations if e.sharpness is None]
-    assert [e.step for e in hard] == [2, 2, 2]
 
 
 YAW = {"p0_yaw_deg": log(5.0, 80.0)}

@@ -12,7 +12,7 @@ from support.studies import small_study
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.methods import reset_law
-from sinsjax.study.load import load_study, with_point
+from sinsjax.study.load import with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
@@ -211,17 +211,6 @@ def law_times(study: Study, heading_deg: float, resets: int) -> tuple[float, ...
     return found.times_s
 
 
-def test_shipped_tuning_has_the_law_within_its_ranges() -> None:
-    study = load_study("tune_large")
-    assert study.tune is not None
-    found, ranges = value_at(study), study.tune.variables["reset_times_s"]
-    assert found is not None and isinstance(ranges, tuple)
-    filters, heading_deg = with_point(study, study.tune.baseline), max(study.values("phi_u0_deg"))
-    times = law_times(filters, heading_deg, len(found["reset_times_s"]))
-    clipped = [np.clip(t, r.low, r.high) for t, r in zip(times, ranges, strict=True)]
-    assert found["reset_times_s"] == pytest.approx(clipped)
-
-
 def test_law_point_has_as_many_resets_as_the_candidates_count() -> None:
     study = long({"reset_times_s": LONG_TIMES, "reset_count": {"candidates": [0, 1, 2]}})
     assert value_at(study, 0) is None
@@ -256,16 +245,3 @@ def test_law_point_is_that_of_the_slowest_filter_and_of_the_baseline() -> None:
     # With the study's own Q, which lies above the range, it is at the bound.
     again = value_at(long(variables))
     assert again is not None and again["q_scale"] == 0.5
-
-
-@pytest.mark.parametrize(
-    ("variables", "changes"),
-    [
-        ({"p0_yaw_deg": CYCLE}, {}),
-        ({"reset_times_s": LONG_TIMES}, {"sensors": {"gyro_noise_deg_per_h": 1e5}}),
-    ],
-)
-def test_no_law_point_without_a_schedule(variables: Any, changes: dict[str, Any]) -> None:
-    study = long(variables, **changes)
-    assert law_point(study) is None
-    assert len(search.design_points(study, "sobol")) == 256
