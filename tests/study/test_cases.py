@@ -5,7 +5,6 @@ import tomllib
 import pytest
 from support.studies import small_study
 
-from sinsjax.errors import InputError
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import study_from_dict, study_to_toml
 
@@ -47,9 +46,3 @@ def test_case_of_another_key_of_the_same_quantity_drops_that_of_its_section(
     assert study.values(key) == values
     again = study_from_dict(tomllib.loads(study_to_toml(study)))
     assert again == study and fingerprint(again) == fingerprint(study)
-
-
-def test_two_keys_of_one_quantity_in_a_case_are_refused() -> None:
-    both = {"gyro_noise_deg_per_h": 1.0, "gyro_arw_deg_per_sqrt_h": 0.1}
-    with pytest.raises(InputError, match=r"\[cases\] gyro_\w+\[1\]: conflicts"):
-        small_study(cases=[{"case": "a"}, {"case": "b"} | both])
