@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import Command
+from support.record_files import write_psins
 from support.stored_results import store_results
 from support.studies import small_study, small_tables, swing_deg
 from support.sweep_directories import read_files_and_times
@@ -20,7 +21,6 @@ from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.records import write_psins
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
