@@ -1,6 +1,6 @@
 """Apply each fault to a copy of the repository and record the tests that notice it, by stages.
 
-    python tests/faults/run.py [NAME ...] [--jobs 2]
+    python tests/faults/run.py [NAME ...] [--stages golden] [--tiers fast] [--jobs 2]
     python tests/faults/run.py [NAME ...] --recorded     # whether the recorded killers still kill
 
     golden     tests/golden, until one fails
@@ -9,8 +9,10 @@
     other      the files that the fault's entry names, the folders of tests that belong to its
                folder, and everything, until one fails
 
-In each stage fast tests come first; nightly ones run where none of them fails. `outcome.csv` gets
-the killers of a fault, ``-`` for none, and the tier of the fastest.
+Stage by stage, fast tests first. `outcome.csv` (or ``--results FILE``) gets the killers of a fault
+as soon as they are known, ``-`` for none and ``- fast`` for none that is fast, and the tier of the
+fastest killer. What is known is not run again, so that an interrupted run goes on: delete a cell or
+a row to repeat it.
 """
 
 import argparse
@@ -23,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
 from queue import Queue
@@ -36,7 +38,7 @@ STAGES = ("golden", "commands", "oracles", "other")
 COLUMNS = ("fault", *STAGES, "tier", "seconds")
 OUTCOME = HERE / "outcome.csv"
 TIERS = {"fast": "not nightly", "nightly": "nightly"}
-NONE, SEPARATOR = "-", " | "
+NONE, NONE_FAST, SEPARATOR = "-", "- fast", " | "
 DATA = HERE.parents[2] / "shared" / "data"  # recorded data; a copy has none beside it
 HANGS_S = 3600  # a fault may make a test wait for ever
 
@@ -64,7 +66,7 @@ def selections(fault: Fault, stage: str, tree: Path) -> Iterator[list[str]]:
 def killers(row: Row) -> list[str]:
     """Return the recorded killers of a fault, those of the first stage first."""
     cells = [row[stage].split(SEPARATOR) for stage in STAGES]
-    return [name for cell in cells for name in cell if name and not name.startswith(NONE)]
+    return [name for cell in cells for name in cell if name not in ("", NONE, NONE_FAST)]
 
 
 def copy_tree(tree: Path, to: Path) -> None:
@@ -112,22 +114,20 @@ def patched(fault: Fault, copies: Queue[Path]) -> Iterator[Path]:
         copies.put(copy)
 
 
-def find_killers(fault: Fault, copies: Queue[Path]) -> Row:
-    """Return the row of a fault: by stages, the tests that fail with it in a copy."""
-    row, started = {"fault": fault.name, "tier": ""}, time.monotonic()
+def try_fault(fault: Fault, stage: str, copies: Queue[Path], tiers: dict[str, str]) -> Row:
+    """Apply a fault to a copy, run a stage and take the fault back; what its row then says."""
+    started, found, tier = time.monotonic(), [], ""
     with patched(fault, copies) as copy:
-        for stage in STAGES:
-            found: list[str] = []
-            for tier, marker in TIERS.items():
-                for selected in selections(fault, stage, copy):
-                    found = found or failures(copy, [*selected, "-m", marker])
-                if found:
-                    row["tier"] = min(row["tier"] or tier, tier)  # fast before nightly
-                    break
-            if stage in ("commands", "oracles"):  # functions, not cases
-                found = list(dict.fromkeys(name.partition("[")[0] for name in found))
-            row[stage] = SEPARATOR.join(found) or NONE
-    return row | {"seconds": f"{time.monotonic() - started:.0f}"}
+        for name, marker in tiers.items():
+            for selected in selections(fault, stage, copy):
+                if not (found and "-x" in selected):  # which ends with the first killer
+                    found += failures(copy, [*selected, "-m", marker])
+                    tier = tier or name * bool(found)
+    if "-x" not in selected:
+        found = list(dict.fromkeys(name.partition("[")[0] for name in found))
+    seconds = f"{time.monotonic() - started:.0f}"
+    none = NONE if "nightly" in tiers else NONE_FAST
+    return {stage: SEPARATOR.join(found) or none, "tier": tier, "seconds": seconds}
 
 
 def survives(fault: Fault, row: Row | None, copies: Queue[Path]) -> bool:
@@ -143,6 +143,13 @@ def survives(fault: Fault, row: Row | None, copies: Queue[Path]) -> bool:
         return not failures(copy, ["-x", killer])
 
 
+def merged(row: Row, new: Row) -> Row:
+    """Return a row with what one more stage has found."""
+    tier = min({row["tier"], new["tier"]} - {""}, default="")
+    seconds = int(row["seconds"] or 0) + int(new["seconds"])
+    return row | new | {"tier": tier, "seconds": str(seconds)}
+
+
 def _forget_bytecode(file: Path) -> None:
     """Python compares time stamps in whole seconds, and sizes: a changed sign leaves both."""
     for compiled in (file.parent / "__pycache__").glob(f"{file.stem}.*"):
@@ -155,39 +162,63 @@ def known_outcomes(path: Path) -> dict[str, Row]:
     return {row["fault"]: row for row in csv.DictReader(lines)}
 
 
+def write_outcomes(path: Path, rows: dict[str, Row], order: list[str]) -> None:
+    """Write the rows in the order of the list of faults."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[name] for name in order if name in rows)
+
+
 def main() -> int:
-    """Try faults; 1 if one of them survives."""
+    """Run what is not known yet; 1 if a fault of those asked for survives what has been run."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--results", type=Path, default=OUTCOME)
+    parser.add_argument("--tiers", default="fast,nightly")
+    parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--recorded", action="store_true")
     asked = parser.parse_args()
 
-    everything, rows = load(), known_outcomes(OUTCOME)
+    everything = load()
     order = [fault.name for fault in everything]
     if unknown := sorted({*asked.names} - {*order}):
         sys.exit(f"no fault named {', '.join(unknown)}")
     faults = [fault for fault in everything if fault.name in asked.names or not asked.names]
+    tiers = {tier: TIERS[tier] for tier in asked.tiers.split(",")}
+    rows = known_outcomes(asked.results)
+    for fault in faults:
+        rows.setdefault(fault.name, dict.fromkeys(COLUMNS, "") | {"fault": fault.name})
     with tempfile.TemporaryDirectory(prefix="sinsjax-faults-") as work:
         copies: Queue[Path] = Queue()
         for number in range(asked.jobs):
             copies.put(Path(work) / str(number))
             copy_tree(HERE.parents[1], Path(work) / str(number))
 
-        with ThreadPoolExecutor(asked.jobs) as pool:
-            if asked.recorded:
-                lives = pool.map(lambda f: survives(f, rows.get(f.name), copies), faults)
-                alive = [f.name for f, lived in zip(faults, lives, strict=True) if lived]
-            else:
-                for row in pool.map(lambda fault: find_killers(fault, copies), faults):
-                    rows[row["fault"]] = row
-                    with OUTCOME.open("w", newline="") as file:
-                        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-                        writer.writeheader()
-                        writer.writerows(rows[name] for name in order if name in rows)
-                alive = [fault.name for fault in faults if not killers(rows[fault.name])]
-    print(f"survivors, of {len(faults)}: {alive or 'none'}")
-    return int(bool(alive))
+        pool = ThreadPoolExecutor(asked.jobs)
+        if asked.recorded:
+            known = known_outcomes(asked.results)
+            results = pool.map(lambda f: survives(f, known.get(f.name), copies), faults)
+            alive = [f.name for f, lives in zip(faults, results, strict=True) if lives]
+            print(f"not killed as recorded, of {len(faults)}: {alive or 'none'}")
+            return int(bool(alive))
+
+        open_cells = ("", NONE_FAST) if "nightly" in tiers else ("",)
+        pairs = [(f, s) for s in asked.stages.split(",") for f in faults]
+        waiting = [(f, s) for f, s in pairs if rows[f.name][s] in open_cells]
+        try:
+            jobs = {pool.submit(try_fault, f, s, copies, tiers): (f.name, s) for f, s in waiting}
+            for job in as_completed(jobs):
+                (name, stage), new = jobs[job], job.result()
+                rows[name] = merged(rows[name], new)
+                write_outcomes(asked.results, rows, order)
+                print(f"{name}: {stage}: {new[stage]} ({new['seconds']} s)", flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)
+    survivors = [fault.name for fault in faults if not killers(rows[fault.name])]
+    print(f"survivors, of {len(faults)}: {survivors or 'none'}")
+    return int(bool(survivors))
 
 
 if __name__ == "__main__":
