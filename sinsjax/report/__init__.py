@@ -85,10 +85,11 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, 
     else:
         source = Results.read(directory)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
+    study = source.study
     return source, report._replace(
-        footer=report.footer or source.sample_size_text,
-        definition=describe_success_criterion(source.study),
-        origin=f"{source.manifest.config or f'study.toml of {source.study.name}'}; computed by"
+        footer=report.footer or f"{study.name}: {study.n_variants:,} × {source.draws:,} runs",
+        definition=describe_success_criterion(study),
+        origin=f"{source.manifest.config or f'study.toml of {study.name}'}; computed by"
         f" sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}",
     )
 
