@@ -14,7 +14,7 @@ from sinsjax.engine.batch import LANES, STACKED_TILES, Batch, map_in_threads, tr
 from sinsjax.engine.inputs import Draw, RunParams, Tiles
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS, unread_keys
-from sinsjax.platform.assets import asset_path
+from sinsjax.platform.files import asset_path
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict
 

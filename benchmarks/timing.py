@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax.platform import compile_cache, machine, runtime
+from sinsjax.platform import compile_cache, machine, runtime, xla
 
 _FACTS = ("cpu", "instructions", "sinsjax", "jax", "jaxlib", "python")
 
@@ -102,7 +102,8 @@ def measurement_conditions() -> Row:
 
     facts, entries = runtime.info(), machine.cpu_info()
     device = jax.devices()[0]
-    missing = [name for name, value in facts["options"].items() if value is None]
+    present = xla.parse_flags(facts["xla_flags"])
+    missing = [name for name in xla.required_options() if name not in present]
     return {key: facts[key] for key in _FACTS} | {
         "family": f"{entries.get('cpu family', '?')}/{entries.get('model', '?')}",
         "ghz": float(entries["cpu MHz"]) / 1e3 if "cpu MHz" in entries else None,

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from sinsjax.errors import InputError
 from sinsjax.messages import explain_error, suggest_closest
-from sinsjax.platform.assets import asset_path
+from sinsjax.platform.files import asset_path
 from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import SECTION_OF, TomlTable, unknown_key_error

@@ -262,7 +262,6 @@ def info() -> None:
     runtime.configure()
     runtime.start_backend()
     entries = runtime.info()
-    entries["options"] = ", ".join(f"{key} = {value}" for key, value in entries["options"].items())
     methods = (f"{name} ({' '.join(package)})" for name, package in PACKAGES.items())
     more = {
         "plug-in methods": ", ".join(methods),

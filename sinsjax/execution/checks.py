@@ -106,12 +106,10 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     points = study.combinations(*COARSE_KEYS)
     coarse = max(study.samples_before(rate_hz, **point) for point in points)
     fine = max(span.records_read for span in study.distinct_spans) * study.record_every
-    lengths = [f"{format_seconds(count / rate_hz)} s" for count in (coarse, fine)]
-    breakdown = f" ({lengths[0]} of coarse alignment + {lengths[1]})" if coarse else ""
     merged: list[tuple[int, int]] = []
     for start in sorted(start_samples(study, rate_hz).tolist()):
         end = start + coarse + fine
-        require_span(record, start / rate_hz, (coarse + fine) / rate_hz, breakdown)
+        require_span(record, start / rate_hz, (coarse + fine) / rate_hz)
         if merged and start <= merged[-1][1]:
             start = merged.pop()[0]
         merged.append((start, end))

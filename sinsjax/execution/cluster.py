@@ -18,6 +18,7 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
+from sinsjax.console import print_warning
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.messages import first_error_line
@@ -133,9 +134,12 @@ def _run_tasks(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a large graph: a record is sent once
             job = client.submit(bytes, content, key=name)
-        completed = as_completed(loop=client.loop)
+        completed, workers = as_completed(loop=client.loop), dict[str, int]()
         while True:
-            room = TASKS_PER_THREAD * max(1, sum(client.nthreads().values())) - len(running)
+            before, workers = workers, client.nthreads()
+            for worker in sorted(before.keys() - workers):
+                print_warning(f"{worker}: lost this worker, others compute its chunks again")
+            room = TASKS_PER_THREAD * max(1, sum(workers.values())) - len(running)
             if batch := list(islice(remaining, max(0, room))):
                 futures = client.map(run, batch, job=job, **options)
                 running |= zip(futures, batch, strict=True)

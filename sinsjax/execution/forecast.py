@@ -111,24 +111,16 @@ def forecast_tuning(study: Study) -> Forecast:
     )
 
 
-def check_memory(name: str, forecast: Forecast) -> None:
-    """Refuse a study, by its name, that needs more memory than this machine has."""
-    available = machine.available_memory_bytes()
-    if forecast.memory > available:
-        raise InputError(
-            f"{name}: {forecast.runs:,} runs need about {decimal(int(forecast.memory))} of memory,"
-            f" but this machine has only {decimal(int(available))}"
-        )
-
-
-def check_disk(directory: Path, forecast: Forecast) -> None:
-    """Refuse new results for which the disk of their directory has no room."""
-    needed, free = forecast.runs * forecast.run_bytes, machine.free_disk_bytes(directory)
-    if needed > free:
-        raise InputError(
-            f"{directory}: the results of {forecast.runs:,} runs need about {decimal(int(needed))},"
-            f" but the disk has only {decimal(int(free))} free"
-        )
+def check_resources(name: str, forecast: Forecast, directory: Path | None) -> None:
+    """Refuse a study that exceeds this machine's memory, or the disk of its new results."""
+    needs = [(name, "memory", forecast.memory, machine.available_memory_bytes())]
+    if directory is not None:
+        needed, free = forecast.runs * forecast.run_bytes, machine.free_disk_bytes(directory)
+        needs.append((str(directory), "disk space", needed, free))
+    for where, kind, needed, available in needs:
+        if needed > available:
+            text = f"{forecast.runs:,} runs need about {decimal(int(needed))} of {kind}"
+            raise InputError(f"{where}: {text}, but there are only {decimal(int(available))}")
 
 
 def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> Forecast:

@@ -95,6 +95,9 @@ def load_job(
     if isinstance(record, Path | str):
         record = load_increments(study, record, reference)
     if record is not None:
+        if not isinstance(record, StoredRecord):
+            text = f"must be a file or what `load_increments` returns, not {type(record).__name__}"
+            raise InputError(f"{name}: record: {text} (see sinsjax.record_from_arrays)")
         study = with_rate(study, record.record.rate_hz)
         doubts = checks.check_record(study, record)
     runs = study.n_draws * study.n_variants
@@ -114,9 +117,8 @@ def finish_job(job: Job, cost: Forecast) -> Job:
     """Check what a job needs apart from its record, and collect its warnings and notes."""
     study, notes, doubts = job.study, job.notes, job.warnings
     read_attitude(study)
-    forecast.check_memory(study.name, cost)
-    if job.directory is not None and not (job.overwrite or job.resume or study.stop_when):
-        forecast.check_disk(job.directory, cost)
+    is_new = not (job.overwrite or job.resume or study.stop_when)
+    forecast.check_resources(study.name, cost, job.directory if is_new else None)
     checks.check_plugins(study, job.stored)
     if not study.is_recorded:
         doubts = (*useless_methods(study), *checks.band_warnings(study))

@@ -63,24 +63,16 @@ def python_progress(
 ) -> Iterator[ProgressCallback | None]:
     """Yield the callback that shows the progress of a function of Python, after two seconds.
 
-    It calls that of the user. ``shown = None`` shows on a terminal or in a notebook, unless the
-    user has a callback.
+    A callback of the user takes its place. ``shown = None`` shows on a terminal or in a notebook.
     """
     if shown is None:
-        seen = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
-        shown = seen and on_progress is None
-    if not shown:
+        shown = sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+    if on_progress is not None or not shown:
         yield on_progress
         return
     console = Console(stderr=True, markup=False, emoji=False, highlight=False, force_jupyter=False)
     with show_progress(console, name, after_s=_PYTHON_AFTER_S) as show:
-
-        def show_and_call(now: RunProgress) -> None:
-            show(now)
-            if on_progress is not None:
-                on_progress(now)
-
-        yield show_and_call
+        yield show
 
 
 @contextmanager

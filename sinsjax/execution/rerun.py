@@ -14,7 +14,6 @@ from sinsjax.engine.batch import Chunks
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
 from sinsjax.execution.checks import refuse_external
-from sinsjax.execution.directory import RERUN_FILES
 from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.tables import TableBuilder
@@ -65,8 +64,6 @@ def rerun_stored_run(
     stored = read_summary(directory, run_ids=[run_id])
     if stored.num_rows != 1:
         raise InputError(f"{directory}: has no run {run_id} (`--resume` computes missing ones)")
-    if out is not None and (existing := [name for name in RERUN_FILES if (out / name).exists()]):
-        raise InputError(f"{out}: already contains {existing[0]} (give another directory)")
     tables = repeat_run(study, run_id, record)
     row, curve, title = tables["summary"], tables["curves"], f"{study.name}, run {run_id}"
     make_folder(target)

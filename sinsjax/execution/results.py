@@ -155,15 +155,6 @@ class Results:
             rows = self._whole if rows is None else self._whole & rows
         return self._parts.read(dataset, names, rows)
 
-    @property
-    def sample_size_text(self) -> str:
-        """Sample size for the footer of a figure: the study's name and its number of runs."""
-        study = self.study
-        each = format_count(self.draws, "start time" if study.is_recorded else "Monte Carlo run")
-        if study.n_variants == 1:
-            return f"{study.name}: {each}"
-        return f"{study.name}: {study.n_variants:,} variants × {each} = {self.runs:,} runs"
-
     def distinct_rows(self, names: Iterable[str]) -> pa.Table:
         """Return `rows` without duplicates: one variant of each set with the same runs.
 

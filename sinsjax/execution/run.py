@@ -41,7 +41,7 @@ def run(
         chunk_runs: runs per chunk; does not affect the rows.
         progress: whether to show the progress; None shows it on a terminal or in a notebook, after
             two seconds.
-        on_progress: called with the progress after every chunk.
+        on_progress: called with the progress after every chunk, instead of showing it.
 
     Returns:
         Tables of all runs.
@@ -79,7 +79,7 @@ def align(
         curves: whether to keep curves; None keeps them for up to 1,024 runs.
         progress: whether to show the progress; None shows it on a terminal or in a notebook, after
             two seconds.
-        on_progress: called with the progress after every chunk.
+        on_progress: called with the progress after every chunk, instead of showing it.
 
     Returns:
         Tables with one row per start time and variant, and per record time: attitude, 1 sigma, and
@@ -139,7 +139,8 @@ def run_into(  # noqa: PLR0913
         executor: runs the tasks; None for all devices of this process.
         progress: whether to show the progress; None shows it on a terminal or in a notebook, after
             two seconds.
-        on_progress: called with the progress before the first chunk and after every one.
+        on_progress: called with the progress before the first chunk and after every one, instead of
+            showing it.
         stop: event that ends the study after the running chunks.
 
     Returns:

@@ -71,7 +71,11 @@ def _use_folder(root: Path | None) -> Path:
     import jax
 
     root = root or machine.user_cache_folder() / "compiled"
-    folder = machine.ensure_private_folder(root / _folder_name())
+    cpu, version = machine.cpu_info(), importlib.metadata.version("jaxlib")
+    parts = [cpu.get(key, "") for key in ("model name", "flags")]
+    parts.append(os.environ.get("XLA_FLAGS", ""))
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+    folder = machine.ensure_private_folder(root / f"jaxlib-{version}-{digest}")
     # At worst a program is compiled again.
     warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
     if _SIZE not in os.environ:
@@ -83,12 +87,3 @@ def _use_folder(root: Path | None) -> Path:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
     return folder
-
-
-def _folder_name() -> str:
-    """Return the jaxlib version, and a digest of the processor's model and features and options."""
-    cpu = machine.cpu_info()
-    parts = [cpu.get(key, "") for key in ("model name", "flags")]
-    parts.append(os.environ.get("XLA_FLAGS", ""))
-    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
-    return f"jaxlib-{importlib.metadata.version('jaxlib')}-{digest}"

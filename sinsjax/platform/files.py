@@ -1,13 +1,23 @@
-"""Atomic writing of files, and file names."""
+"""Files: atomic writing, reading without links, and those that the package brings along."""
 
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.resources import files
 from pathlib import Path
 from typing import BinaryIO
 
 from sinsjax.errors import InputError
+
+
+def asset_path(name: str) -> Path:
+    """Return the path of a file or folder of the repository, such as ``configs/imu``.
+
+    A wheel has them in ``sinsjax/assets``, a source tree at its top.
+    """
+    installed = Path(str(files("sinsjax"))) / "assets" / name
+    return installed if installed.exists() else Path(__file__).parents[2] / name
 
 
 @contextmanager
@@ -42,11 +52,8 @@ def read_regular_file(path: Path) -> bytes:
         InputError: it is not a regular file, or cannot be read.
     """
     try:
-        mode = path.lstat().st_mode
-        if stat.S_ISLNK(mode):
-            raise InputError(f"{path}: is a symbolic link (replace it by the file)")
-        if not stat.S_ISREG(mode):
-            raise InputError(f"{path}: is not a regular file (remove it)")
+        if not stat.S_ISREG(path.lstat().st_mode):
+            raise InputError(f"{path}: is not a regular file but a link, a folder or a pipe")
         return path.read_bytes()
     except FileNotFoundError:
         raise
@@ -60,17 +67,6 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(unwritable_message(path, error)) from None
-
-
-def require_writable(path: Path, option_name: str) -> None:
-    """Reject the file of an option that cannot be written, before any work is done."""
-    if path.is_dir():
-        raise InputError(f"{option_name} {path}: is a folder, give the name of a file")
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise InputError(
-            f"{option_name} {path}: cannot be written: {folder} is not a writable folder"
-        )
 
 
 def unwritable_message(path: Path, error: OSError) -> str:

@@ -5,7 +5,6 @@ import importlib.metadata
 import os
 import platform
 import warnings
-from contextlib import suppress
 from typing import Any
 
 from sinsjax.errors import InputError
@@ -49,12 +48,11 @@ def configure(devices: int | None = None) -> None:
     if devices is not None and devices < 1:
         raise InputError(f"devices: must be at least 1, not {devices}")
     chosen = jax.config.values["jax_num_cpu_devices"] if devices is None else devices
-    count = chosen if chosen >= 1 else usable_cores()
     if xla.has_backend_started():
-        _warn_if_jax_started(count, "" if devices is None else f"devices={devices}")
+        _warn_if_late(devices)
     else:
         xla.apply_options()
-        jax.config.update("jax_num_cpu_devices", count)
+        jax.config.update("jax_num_cpu_devices", chosen if chosen >= 1 else usable_cores())
     _enable_x64()
     compile_cache.enable_cache()
     _configured = True
@@ -77,24 +75,23 @@ def _enable_x64() -> None:
         raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
-def _warn_if_jax_started(devices: int, configure_arguments: str) -> None:
-    """Warn if JAX has started without the compiler options or with other devices."""
+def _warn_if_late(devices: int | None) -> None:
+    """Warn that JAX has started without the compiler options or the devices asked for."""
     import jax
 
-    problems = []
+    running = max(1, jax.config.values["jax_num_cpu_devices"])
+    arguments = "" if devices is None else f"devices={devices}"
     if xla.missing_options() and xla.options_work():
-        problems.append("without sinsjax's compiler options (runs are several times slower)")
-    with suppress(RuntimeError):  # JAX_PLATFORMS does not list the CPU
-        if (running := len(jax.local_devices(backend="cpu"))) != devices:
-            problems.append(f"with {running} CPU device(s) instead of {devices}")
-    if problems:
-        warnings.warn(
-            f"JAX has started already, {' and '.join(problems)}: restart Python or the notebook's"
-            f" kernel and call sinsjax.configure({configure_arguments}) before JAX computes"
-            " anything",
-            xla.ConfigurationWarning,
-            stacklevel=3,
-        )
+        problem = "without sinsjax's compiler options (runs are several times slower)"
+    elif devices not in (None, running):
+        problem = f"with {running} CPU device(s) instead of {devices}"
+    else:
+        return
+    text = (
+        f"JAX has started already, {problem}: restart Python or the notebook's kernel and call"
+        f" sinsjax.configure({arguments}) before JAX computes anything"
+    )
+    warnings.warn(text, xla.ConfigurationWarning, stacklevel=3)
 
 
 def start_backend() -> None:
@@ -156,8 +153,8 @@ def info() -> dict[str, Any]:
 
     Returns:
         All of `relevant_versions`; ``platform``, ``cpu``; ``instructions``: the set in use;
-        ``cores``, ``devices``, ``x64``; ``compile_cache``: the folder of compiled programs, or off
-        and why; ``options``: each XLA option with its value in ``XLA_FLAGS`` or None.
+        ``xla_flags``: XLA's options; ``cores``, ``devices``, ``x64``; ``compile_cache``: the folder
+        of compiled programs, or off and why.
 
     Examples:
         >>> sinsjax.info()["x64"]
@@ -168,14 +165,13 @@ def info() -> dict[str, Any]:
     from sinsjax.platform import compile_cache
 
     ensure_configured()
-    present, environment = xla.current_options(), describe_environment()
+    environment = describe_environment()
     return {
-        **environment["versions"],
-        **{key: environment[key] for key in ("platform", "cpu", "instructions")},
+        **environment.pop("versions"),
+        **environment,
         "cores": usable_cores(),
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.jax_enable_x64),
         "compile_cache": jax.config.values["jax_compilation_cache_dir"]
         or f"off ({compile_cache.reason_off()})",
-        "options": {name: present.get(name) for name in xla.required_options()},
     }

@@ -49,11 +49,6 @@ class ConfigurationWarning(UserWarning):
     """JAX could not be set up as intended: runs can be slower, results differ by rounding."""
 
 
-def is_opted_out() -> bool:
-    """Return whether ``SINSJAX_XLA_OPTIONS=0`` is set."""
-    return os.environ.get(OPT_OUT, "").strip() == "0"
-
-
 def parse_flags(flags: str) -> dict[str, str]:
     """Return the flags and extra options in a value of ``XLA_FLAGS`` by name; the last one wins."""
     words = re.sub(rf"""--{EXTRA_FLAG}=|[,"']""", " ", flags).split()
@@ -61,14 +56,10 @@ def parse_flags(flags: str) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def current_options() -> dict[str, str]:
-    """Return the options set by ``XLA_FLAGS``, see `parse_flags`; none of a file that it names."""
-    return parse_flags(os.environ.get("XLA_FLAGS", ""))
-
-
 def instruction_set() -> str:
     """Return the instruction set in use: this machine's, limited by ``XLA_FLAGS``."""
-    return machine.instruction_set(current_options().get("xla_cpu_max_isa", ""))
+    present = parse_flags(os.environ.get("XLA_FLAGS", ""))
+    return machine.instruction_set(present.get("xla_cpu_max_isa", ""))
 
 
 def required_options() -> dict[str, str]:
@@ -84,10 +75,11 @@ def required_options() -> dict[str, str]:
 
 
 def missing_options() -> dict[str, str]:
-    """Return the options that ``XLA_FLAGS`` does not set; none if opted out."""
-    present = current_options()
-    options = {} if is_opted_out() else required_options()
-    return {name: value for name, value in options.items() if name not in present}
+    """Return the options that ``XLA_FLAGS`` does not set; none with ``SINSJAX_XLA_OPTIONS=0``."""
+    if os.environ.get(OPT_OUT, "").strip() == "0":
+        return {}
+    present = parse_flags(os.environ.get("XLA_FLAGS", ""))
+    return {name: value for name, value in required_options().items() if name not in present}
 
 
 def merge_options(flags: str, options: dict[str, str]) -> str:

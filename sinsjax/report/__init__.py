@@ -13,7 +13,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.directory import remove_other_figures
 from sinsjax.execution.results import Results
 from sinsjax.messages import shorten
-from sinsjax.platform.files import atomic_write, make_folder, require_writable
+from sinsjax.platform.files import atomic_write, make_folder
 from sinsjax.report import monte_carlo
 from sinsjax.report.base import Report, Table, describe_success_criterion
 from sinsjax.report.markdown import to_html
@@ -46,8 +46,6 @@ def print_reports(
             a report that fails otherwise. The results are then unchanged.
     """
     try:
-        if html is not None:
-            require_writable(html, "--html")
         drawn: list[tuple[Report, Mapping[str, bytes]]] = []
         names: dict[str, None] = {}
         for directory in directories:
@@ -87,10 +85,11 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, 
     else:
         source = Results.read(directory)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
+    study = source.study
     return source, report._replace(
-        footer=report.footer or source.sample_size_text,
-        definition=describe_success_criterion(source.study),
-        origin=f"{source.manifest.config or f'study.toml of {source.study.name}'}; computed by"
+        footer=report.footer or f"{study.name}: {study.n_variants:,} × {source.draws:,} runs",
+        definition=describe_success_criterion(study),
+        origin=f"{source.manifest.config or f'study.toml of {study.name}'}; computed by"
         f" sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}",
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
-from sinsjax.platform.assets import asset_path
+from sinsjax.platform.files import asset_path
 
 _FOLDER = "configs"
 _SCHEMA = "#:schema"

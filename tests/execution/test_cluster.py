@@ -112,15 +112,14 @@ def when_done(chunks: int, action: Callable[[], object]) -> Callable[[run.RunPro
     return on_progress
 
 
-def refusal_line(scheduler: str) -> str:
-    with pytest.raises(InputError) as output, cluster.executor(scheduler=scheduler):
-        pass
-    return str(output.value)
-
-
 @pytest.mark.skipif(runtime.usable_cores() < 2, reason="two workers need two cores, one each")
 def test_lost_and_late_workers_give_same_bytes_as_local_run(
-    start: Start, scheduler: str, study: Study, local_parts: dict[str, bytes], tmp_path: Path
+    start: Start,
+    scheduler: str,
+    study: Study,
+    local_parts: dict[str, bytes],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ("dask", "worker", scheduler, "--nthreads", "1", "--no-nanny")
     victim, _ = (start(*words) for _ in range(2))
@@ -134,6 +133,7 @@ def test_lost_and_late_workers_give_same_bytes_as_local_run(
         options: dict[str, Any] = {"executor": executor, "on_progress": when_done(3, replace)}
         run.run_into(study, tmp_path / "out", chunk_runs=CHUNK, **options)
     assert read_parts(tmp_path / "out") == local_parts
+    assert re.fullmatch(r"Warning: tcp://\S+: lost this worker, .*\n", capsys.readouterr().err)
     manifest = read_manifest(tmp_path / "out")
     assert (manifest["workers"], manifest["scheduler"]) == (2, scheduler)
     assert manifest["instructions"] == xla.instruction_set()
@@ -162,12 +162,6 @@ def test_workers_that_differ_are_refused(start: Start, scheduler: str) -> None:
     for flags in ("", "--xla_cpu_max_isa=SSE4_2"):
         start("dask", "worker", scheduler, "--nthreads", "1", XLA_FLAGS=flags)
     wait_for_workers(scheduler, 2)
-    line = r"tcp://127\.0\.0\.1:\d+: the worker has instruction set .*, not .*: rows could differ"
-    assert re.match(line, refusal_line(scheduler))
-
-
-def test_scheduler_without_workers_is_refused_after_timeout(
-    scheduler: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.5)
-    assert refusal_line(scheduler).startswith(f"{scheduler}: no worker that runs sinsjax: ")
+    line = r"^tcp://127\.0\.0\.1:\d+: the worker has instruction set .*, not .*: rows could differ"
+    with pytest.raises(InputError, match=line), cluster.executor(scheduler=scheduler):
+        pass

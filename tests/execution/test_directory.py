@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,38 +16,14 @@ import sinsjax
 from sinsjax import plots
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
-from sinsjax.execution.directory import lock_directory, remove_other_figures
+from sinsjax.execution.directory import remove_other_figures
 from sinsjax.execution.results import Results
-from sinsjax.platform import files
 from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
 
 AXES = {"phi_u0_deg": [5.0, 10.0], "p0_yaw_deg": [20.0, 40.0, 80.0]}
 STUDY = small_study(study={"curves": True}, axes=AXES)  # its program is that of `test_results`
-
-HOLD = """
-import sys, pathlib
-from sinsjax.execution.directory import lock_directory
-held = lock_directory(pathlib.Path(sys.argv[1]))
-print("held", flush=True)
-sys.stdin.read()
-"""
-
-
-def test_lock_is_held_until_its_process_dies(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    holder = subprocess.Popen(
-        [sys.executable, "-c", HOLD, out], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
-        with pytest.raises(InputError, match="out: another process is writing there"):
-            lock_directory(out)
-    finally:
-        holder.kill()
-        holder.communicate()
-    lock_directory(out).release()
 
 
 def test_figure_drawn_no_longer_is_removed_unless_another_program_wrote_it(tmp_path: Path) -> None:
@@ -151,14 +125,3 @@ def test_any_flipped_bit_of_results_is_named(results: Path, tmp_path: Path) -> N
                 assert Results.read(out).curves
         path.write_bytes(content)
     assert Results.read(out).runs == 18
-
-
-def test_no_link_is_written_through(tmp_path: Path) -> None:
-    file, link = tmp_path / "file", tmp_path / "link"
-    file.write_bytes(b"content")
-    link.symlink_to(file)
-    (tmp_path / f".link.{os.getpid()}.tmp").symlink_to(file)
-    with files.atomic_write(link) as opened:
-        opened.write(b"new")
-    assert file.read_bytes() == b"content"
-    assert link.read_bytes() == b"new" and not link.is_symlink()

@@ -44,11 +44,11 @@ def test_study_that_exceeds_disk_or_memory_is_refused_without_listing_runs(
 ) -> None:
     out = tmp_path / "out"
     disk(free=2e9)
-    line = f"^{out}: the results of 896,000,000 runs need about 212.2 GB, but .* 2.0 GB free"
+    line = f"^{out}: 896,000,000 runs need about 212.2 GB of disk space, but there are only 2.0 GB$"
     with limit_memory_mb(200), pytest.raises(InputError, match=line):  # a list of runs is 7,000
         run.run_into(huge_study(1000), out)
     disk(memory=5e8)
-    line = "^study: 896,000 runs need about .*MB of memory, but this machine has only 500.0 MB$"
+    line = "^study: 896,000 runs need about .*MB of memory, but there are only 500.0 MB$"
     with pytest.raises(InputError, match=line):
         run.run_into(huge_study(1), out)
     assert not out.exists()
@@ -59,11 +59,11 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(disk: Any, tmp_path
     expected = forecast.forecast_tuning(study)
     assert expected.runs == 5 * 4 + 2 * 8
     disk(free=35 * expected.run_bytes)
-    with pytest.raises(InputError, match="the results of 36 runs need about"):
+    with pytest.raises(InputError, match="out: 36 runs need about .* of disk space"):
         run_tuning.tune(study, tmp_path / "out")
     tables = {"tune": TUNE | {"searches": ["sobol", "gradient"], "sobol_points": 10**9}}
     disk(memory=1e12)
-    with pytest.raises(InputError, match="of memory, but this machine has only 1.0 TB"):
+    with pytest.raises(InputError, match="of memory, but there are only 1.0 TB"):
         run_tuning.tune(small_study(**tables), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

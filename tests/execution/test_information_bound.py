@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles.white_noise_bound import white_noise_bound
-from support.studies import STILL, small_study
+from support.studies import small_study
 
 from sinsjax.errors import InputError
 from sinsjax.execution.information import information_bound
@@ -80,26 +80,6 @@ def test_drawn_biases_of_parked_base_add_bias_floor_as_sigma() -> None:
     level = np.hypot(gyro, accel * PLACE.tan_latitude) / ARCMIN
     found = bound_of(sensors=dict.fromkeys(drawn), drawn=drawn)
     np.testing.assert_allclose(found, np.hypot(known, level), rtol=0.01)
-
-
-def test_drawn_cross_axis_errors_act_on_earth_rate_as_biases() -> None:
-    """The east gyro measures part of the north and of the up component of the Earth rate."""
-    found = bound_of(
-        motion=STILL | {"yaw_center_deg": 0.0},
-        sensors={"gyro_noise_deg_per_h": 0.01, "accel_noise_ug": 10.0},
-        drawn={"gyro_misalignment_arcsec": {"normal": [0.0, 20000.0]}},
-    )
-    sigma = 20000 / 60 * np.hypot(1.0, PLACE.rate_u / PLACE.rate_n)
-    assert found[0, -1] == pytest.approx(sigma, rel=0.02)
-
-
-def test_fixed_errors_of_turning_base_count_as_sigmas() -> None:
-    turning = {"turn_times_s": [20.0]}
-    fixed = bound_of(motion=turning, sensors={"gyro_scale_ppm": -100.0, "accel_bias_ug": 0.0})
-    laws = {"gyro_bias_deg_per_h": [3.0, 1.0], "gyro_scale_ppm": [0.0, 100.0]}
-    sensors = {"gyro_bias_deg_per_h": None, "accel_bias_ug": 0.0}
-    drawn = {key: {"normal": law} for key, law in laws.items()}
-    np.testing.assert_array_equal(fixed, bound_of(motion=turning, sensors=sensors, drawn=drawn))
 
 
 def test_turn_gets_under_bias_floor_and_swept_turns_have_their_own_bounds() -> None:

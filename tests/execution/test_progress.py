@@ -7,7 +7,9 @@ import threading
 
 import pytest
 from rich.console import Console
+from support.studies import small_study
 
+import sinsjax
 from sinsjax.cli import running
 from sinsjax.execution.progress import RunProgress, python_progress, show_progress
 
@@ -62,14 +64,24 @@ def test_progress_counts_runs_and_failures(terminal: bool) -> None:
         assert printed.splitlines() == [f"swing: {line}" for line in lines]
 
 
-def test_python_shows_progress_on_request_and_calls_back(
+def test_python_shows_progress_on_request_or_calls_back(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[RunProgress] = []
-    for shown, after_s in ((None, 0.0), (True, 60.0), (True, 0.0)):
+    for callback, after_s in ((calls.append, 0.0), (None, 60.0), (None, 0.0)):
         monkeypatch.setattr("sinsjax.execution.progress._PYTHON_AFTER_S", after_s)
-        with python_progress("swing", shown, calls.append) as show:
+        with python_progress("swing", True, callback) as show:
             assert show is not None
             show(RunProgress(1000, 2000, 3, 0))
-    assert len(calls) == 3
+    assert len(calls) == 1
     assert capsys.readouterr().err == "swing: 1,000 of 2,000 runs, 3 failed\n"
+
+
+@pytest.mark.optimised(False)
+def test_callback_learns_which_program_is_compiled() -> None:
+    methods, seen = {"method": ["level", "compass"]}, list[RunProgress]()
+    study = small_study(study={"duration_s": 2.0, "window_s": [0, 2]}, axes=methods)
+    sinsjax.run(study, on_progress=seen.append)
+    assert (seen[0].state, seen[0].programs) == ("compiling 1 of 2 programs", 2)
+    assert {now.compiled for now in seen} == {0, 1, 2}
+    assert seen[-1].done == 6

@@ -47,34 +47,11 @@ def assert_alone_as_among_others(
             assert last[name].to_pylist() == row[name].to_pylist()
 
 
-RARE = {
-    # Of the schedule and of a trigger; the clock of some runs in a tile starts anew.
-    "resets tied to feedback": small_study(
-        study=SHORT | {"draws": 20, "curves": True},
-        alignment={"feedback_interval_s": 0.3},
-        filter={"r_velocity_m_per_s": 1e-3},
-        resets={
-            "reset_trigger": "innovation",
-            "trigger_window_s": 0.01,
-            "trigger_threshold": 3e-4,
-            "reset_times_s": [1.37],
-        },
-        axes={"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]},
-    ),
-    # After 64 draws of 6 variants.
-    "stopped early": small_study(
-        study=SHORT | {"draws": 150},
-        stop_when={"statistic": "success_rate", "half_width": 0.4},
-        axes={"phi_u0_deg": [0.0, 1.0, 2.0], "reset_times_s": [[], [1.37]]},
-    ),
-}
-
-
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", [*STUDIES, *RARE])
+@pytest.mark.parametrize("name", STUDIES)
 def test_rerun_matches_run_of_whole_study(name: str) -> None:
-    study = RARE[name] if name in RARE else make_study(name)
-    runs = study.n_variants * (64 if study.stop_when else study.n_draws)
+    study = make_study(name)
+    runs = study.n_variants * study.n_draws
     assert_alone_as_among_others(study, runs=[0, 65, runs // 2 + 1, runs - 1])
 
 

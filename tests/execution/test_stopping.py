@@ -87,20 +87,6 @@ def test_interim_analysis_matches_naive_count(
 
 # --- in a sweep ---------------------------------------------------------------------------------
 
-CASES = {
-    "share": ("success_rate", 0.03, 1000, 256),
-    "settling time": ("settle_60_s_mean", 0.2, 1000, 256),
-}
-"""Statistic, half-width, cap, and the draws that it takes."""
-
-
-def sweep_of(name: str) -> Study:
-    return make_study(
-        *CASES[name][:3],
-        sensors={"gyro_noise_deg_per_h": 200.0, "accel_noise_ug": 200000.0},
-        alignment={"phi_e0_deg": 1.0, "phi_n0_deg": 1.0},
-    )
-
 
 def stop_after_one(runner: TaskRunner, tasks: Any, stop: threading.Event) -> Any:
     for task in tasks:
@@ -109,16 +95,21 @@ def stop_after_one(runner: TaskRunner, tasks: Any, stop: threading.Event) -> Any
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    ("statistic", "half_width"), [("success_rate", 0.03), ("settle_60_s_mean", 0.2)]
+)
 def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
-    name: str, tmp_path: Path
+    statistic: str, half_width: float, tmp_path: Path
 ) -> None:
-    study, draws, out = sweep_of(name), CASES[name][3], tmp_path / "out"
+    sensors = {"gyro_noise_deg_per_h": 200.0, "accel_noise_ug": 200000.0}
+    alignment = {"phi_e0_deg": 1.0, "phi_n0_deg": 1.0}
+    study = make_study(statistic, half_width, sensors=sensors, alignment=alignment)
+    draws, out = 256, tmp_path / "out"
     whole = study_run.run(study, chunk_runs=128)
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
     before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert all(stopping.widest_half_width(study, whole.summary, n) > CASES[name][1] for n in before)
+    assert all(stopping.widest_half_width(study, whole.summary, n) > half_width for n in before)
     backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     stop, interrupted = threading.Event(), 0

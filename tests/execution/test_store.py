@@ -3,14 +3,12 @@
 Real processes and real signals are in `test_kills`.
 """
 
-import json
 import shutil
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
@@ -29,12 +27,11 @@ from support.sweep_directories import (
 
 from sinsjax import plots
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.execution import forecast, store
 from sinsjax.execution import run as study_run
+from sinsjax.execution import store
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.sealed import to_sealed_parquet
-from sinsjax.execution.tasks import Job
 from sinsjax.platform import files, runtime
 from sinsjax.study.study import Study
 
@@ -67,35 +64,6 @@ def out(uninterrupted: Path, tmp_path: Path) -> Path:
 
 def chunk_name(number: int) -> str:
     return f"part-{number // 6:04d}-{number % 6:06d}"
-
-
-def test_part_metadata_identify_study_and_chunk_only(uninterrupted: Path) -> None:
-    for name in read_parts(uninterrupted):
-        about = pq.ParquetFile(uninterrupted / name)
-        metadata = about.schema_arrow.metadata
-        assert metadata.keys() == {b"sinsjax.schema", b"sinsjax.study", b"sinsjax.chunk"}
-        assert metadata[b"sinsjax.study"].decode() == Job(STUDY).identity
-        chunk = json.loads(metadata[b"sinsjax.chunk"])
-        assert (chunk["dataset"], chunk["name"]) == (name.split("/")[0], Path(name).stem)
-        assert (chunk["draws"], chunk["runs"], chunk["chunk_runs"]) == ([0, 48], 128, CHUNK_RUNS)
-        assert chunk["rows"] == about.metadata.num_rows
-
-
-def test_manifest_records_study_identity_and_timing(uninterrupted: Path, out: Path) -> None:
-    told = read_manifest_entries(uninterrupted)
-    assert told["identity"] == Job(STUDY).identity
-    assert (told["seed"], told["schema"], told["draws"]) == (1, "4", 48)
-    assert told["wall_s"] > 0 and told["versions"]["numpy"] == np.__version__
-    sweep(out, resume=True)
-    again = read_manifest_entries(out)
-    assert again["started_unix_s"] == told["started_unix_s"] and again["wall_s"] > told["wall_s"]
-
-
-def test_forecast_disk_space_is_near_actual_size(uninterrupted: Path) -> None:
-    """At 128 runs a part, of which some 20 kB say how it is laid out, more is taken."""
-    expected, parts = forecast.forecast_sweep(STUDY), read_parts(uninterrupted).values()
-    taken = sum(map(len, parts)) - 2 * CHUNKS * 20_000
-    assert 0.5 < expected.runs * expected.run_bytes / taken < 2
 
 
 def flip_bit(path: Path) -> None:
@@ -158,15 +126,6 @@ def test_resume_keeps_chunk_size_and_curves_of_directory(uninterrupted: Path, ou
     assert sweep(out, sweep_study(study={"name": "renamed"}), resume=True) == []
     assert modification_times(out) == before
     assert 'name = "renamed"' in (out / "study.toml").read_text()
-
-
-def test_results_of_another_schema_are_refused_but_can_be_overwritten(out: Path) -> None:
-    rewrite_manifest(out, schema="5")
-    before = read_files_and_times(out)
-    with pytest.raises(InputError, match=r"schema 5.*--overwrite"):
-        sweep(out, resume=True)
-    assert read_files_and_times(out) == before
-    assert len(sweep(out, overwrite=True)) == CHUNKS
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,9 @@ def test_threads_compile_each_program_once(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(jax, "devices", lambda: [None])
     runner = TaskRunner(Job(make_study("worlds"), None, None, 128))
     (tasks,) = runner.plan_tasks()
-    runner.compile(tasks)
+    compiled: list[object] = []
+    runner.compile(tasks, compiled.append)
     found = list(map_in_threads(runner.compute, tasks, len(tasks)))
     runner.close()
     assert [result.task for result in found] == tasks and made == [0, 1]
+    assert len(compiled) == 2

@@ -133,21 +133,6 @@ def test_html_page_of_results_has_all_tables_and_figures_without_full(results: P
     assert page.read_text().count("data:image/png;base64,") == figures > 0
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("results/study.toml/one", "--html .*one: cannot be written: .*is not a writable folder$"),
-        ("results", "--html .*results: is a folder, give the name of a file$"),
-    ],
-)
-def test_unwritable_page_is_refused_before_report_is_made(
-    results: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str
-) -> None:
-    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
-    with pytest.raises(InputError, match=message):
-        report_text(results, html=results.parent / name)
-
-
 def test_failed_report_is_one_line_and_keeps_the_results(
     results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
