@@ -1,6 +1,6 @@
 """Records and reference attitudes from arrays in memory: NumPy, pandas, Polars, Arrow."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ def record_from_arrays(  # noqa: PLR0913
     accel_unit: str = "m_per_s2",
     time_unit: str = "s",
     axes: str = "rfu",
-    mounting_deg: Sequence[float] = (0.0, 0.0, 0.0),
     rate_hz: float | None = None,
     max_gap_s: float = 0.0,
     latitude_deg: float | None = None,
@@ -45,7 +44,6 @@ def record_from_arrays(  # noqa: PLR0913
         time_unit: "s", "ms", "us" or "ns".
         axes: directions of x, y and z: "rfu" (right, front, up), "frd" or "flu"; or the axes that
             point right, front and up as a signed permutation, such as "y-xz".
-        mounting_deg: attitude of these axes in the vehicle: pitch, roll, counter-clockwise yaw.
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest gap between good samples that is interpolated.
         latitude_deg: geodetic latitude, which a study's [earth] may then omit.
@@ -76,7 +74,6 @@ def record_from_arrays(  # noqa: PLR0913
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         axes_order=axes,
-        mounting_deg=tuple(mounting_deg),
         rate_hz=rate_hz,
         time_unit=time_unit,
         max_gap_s=max_gap_s,

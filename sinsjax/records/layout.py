@@ -81,7 +81,7 @@ class RecordLayout(NamedTuple):
 
     The fields are keys of a study's ``[record]`` section (``sinsjax keys record``), with the sample
     rate. Increments are over each sample, rates averaged over it, stamps at its end. PSINS text
-    uses only axes_order, mounting_deg and rate_hz. ``axes_order`` names the record's axes that
+    uses only axes_order and rate_hz. ``axes_order`` names the record's axes that
     point right, front and up: "y-xz" means that right is +y of the record, front is -x and up is
     +z; or is a name of `NAMED_AXES`. "" is no column of times, None a rate from the file.
     """
@@ -101,7 +101,6 @@ class RecordLayout(NamedTuple):
     gyro_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     accel_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     axes_order: str = "xyz"
-    mounting_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
     rate_hz: float | None = None
     max_gap_s: float = 0.0
 
@@ -213,17 +212,6 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     if np.linalg.det(signs[:, None] * np.eye(3)[index]) < 0:
         raise ValueError(f"{order!r} is left-handed: it mirrors the axes; change one sign")
     return index, signs
-
-
-def to_vehicle_axes(values: FloatArray, layout: RecordLayout) -> FloatArray:
-    """Transform (T, 3) vectors from a record's axes to those of the vehicle, right-front-up."""
-    values, (pitch, roll, yaw) = to_body_axes(values, layout.axes_order), layout.mounting_deg
-    if not any(layout.mounting_deg):
-        return values
-    from scipy.spatial.transform import Rotation  # half the import time of sinsjax
-
-    mounting = Rotation.from_euler("ZXY", [yaw, pitch, roll], degrees=True)
-    return np.asarray(mounting.apply(values))
 
 
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:

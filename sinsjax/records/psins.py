@@ -45,7 +45,7 @@ def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log.
 
     The header's g scales the accelerometer counts to m/s. An attitude, latitude or height of nan in
-    the header is unknown. Of the layout, axes_order, mounting_deg and rate_hz are used; the rate
+    the header is unknown. Of the layout, axes_order and rate_hz are used; the rate
     must agree with the header's interval.
     """
     check_layout(layout, str(path))

@@ -17,7 +17,7 @@ from sinsjax.records.layout import (
     find_spans,
     is_rate,
     rate_factor,
-    to_vehicle_axes,
+    to_body_axes,
     unit_factor,
 )
 from sinsjax.records.reader import MISSING_TEXT, Table
@@ -87,7 +87,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
         values = values * (unit_factor(unit) * np.array(scale))
         if is_rate(unit):
             values /= rate_hz
-        increments.append(to_vehicle_axes(values, layout))
+        increments.append(to_body_axes(values, layout.axes_order))
     dtheta, dv = increments
     return Record(
         dtheta,

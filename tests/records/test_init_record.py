@@ -295,13 +295,6 @@ def test_log_that_tells_nothing_is_a_question_or_a_line(time, gyro, accel, told,
 # --- the rest of the study
 
 
-def test_mounting_gives_attitude_of_the_vehicle(body, tmp_path):
-    """A box that is turned by yaw 90 deg in the vehicle: its front points left."""
-    turned = [v @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) for v in body]
-    path = write(tmp_path / "log.csv", [TIME, *turned], [f"rfu_{n}" for n in UNITS])
-    assert_truth(align(path, record__mounting_deg=(0.0, 0.0, 90.0)))
-
-
 def test_longest_part_without_a_gap_is_aligned(body, tmp_path):
     table = np.column_stack([TIME, *in_axes(body, "flu")])
     table[400, 2] = np.nan
