@@ -25,8 +25,6 @@ def record_from_arrays(  # noqa: PLR0913
     axes: str = "rfu",
     rate_hz: float | None = None,
     max_gap_s: float = 0.0,
-    latitude_deg: float | None = None,
-    height_m: float | None = None,
     reference: Any = None,
     source: str = "arrays",
 ) -> StoredRecord:
@@ -46,8 +44,6 @@ def record_from_arrays(  # noqa: PLR0913
             point right, front and up as a signed permutation, such as "y-xz".
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest gap between good samples that is interpolated.
-        latitude_deg: geodetic latitude, which a study's [earth] may then omit.
-        height_m: height above the ellipsoid, likewise.
         reference: attitude to compare with: a mapping or table with the columns of
             `read_reference`, on the clock of ``time``, or a `Reference`.
         source: name of the record, for messages and manifests.
@@ -84,7 +80,6 @@ def record_from_arrays(  # noqa: PLR0913
         if pa.types.is_timestamp(columns["time"].type):
             layout = layout._replace(time_unit="iso")
     record = record_from_table(layout, _make_table(source, columns))
-    record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
     if reference is not None and not isinstance(reference, Reference):
         place = f"{source}: reference"
         names = getattr(reference, "column_names", None)  # of Arrow, whose `columns` are arrays

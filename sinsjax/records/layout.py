@@ -64,16 +64,13 @@ class Record(NamedTuple):
     dv: FloatArray  # (T, 3) specific-force increments over each sample, m/s
     rate_hz: float
     t0_s: float = 0.0  # begin of the first sample; sample k ends at t0_s + (k + 1) / rate_hz
-    latitude_deg: float | None = None  # geodetic, from the file's header; so are the next three
+    latitude_deg: float | None = None  # geodetic, from the file's header; so are the next two
     height_m: float | None = None
-    attitude_deg: tuple[float, float, float] | None = None  # pitch, roll, counter-clockwise yaw
     gravity_m_per_s2: float | None = None  # the g that scales the file's specific force
     source: str = "record"  # the file's name, for messages
     flaws: tuple[Flaw, ...] = ()  # missing samples, which are nan in dtheta and dv
-    filled: int = 0  # number of missing samples that were interpolated
-    layout: "RecordLayout | None" = None  # of arrays, for messages; that of a file is in the study
     anomalies: tuple[Finding, ...] = ()  # samples that are impossible for a base at rest
-    remarks: tuple[str, ...] = ()  # what was left out or assumed while the file was read
+    remarks: tuple[str, ...] = ()  # what was left out, filled or assumed while the file was read
 
 
 class RecordLayout(NamedTuple):
@@ -160,10 +157,7 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
     taken = list(layout.time_columns)
     for sensor, (columns, _, scale) in zip(("gyro", "accel"), layout.sensors, strict=True):
         if len(columns) != 3 or not all(columns):
-            yield (
-                f"{sensor}_columns",
-                f"must name three columns, not {len([*filter(None, columns)])}",
-            )
+            yield f"{sensor}_columns", "must name three columns"
         for name, factor in zip(columns, scale, strict=False):
             if name in taken:
                 yield f"{sensor}_columns", f"column {name!r} is named twice"

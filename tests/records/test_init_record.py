@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.commands import Command
-from support.record_files import from_body_axes, write_psins
+from support.record_files import from_body_axes
 from support.refusals import assert_named
 from support.studies import STILL, small_study
 from support.turning_logs import turned_record
@@ -299,8 +299,8 @@ def test_longest_part_without_a_gap_is_aligned(body, tmp_path):
     table = np.column_stack([TIME, *in_axes(body, "flu")])
     table[400, 2] = np.nan
     path = write(tmp_path / "log.csv", [np.delete(table, [*range(100, 150)], axis=0)], UNITS)
-    study, _, (gap,) = read_study(path, record__max_gap_s=0.08)
-    assert study["record"]["start_s"] == [6.0] and "a gap at 25 Hz" in gap
+    study, _, (gap, filled) = read_study(path, record__max_gap_s=0.08)
+    assert study["record"]["start_s"] == [6.0] and "a gap at 25 Hz" in gap and "missing" in filled
     assert read_study(path)[0]["record"]["start_s"] == [17.0]
 
 
@@ -312,13 +312,6 @@ def test_parquet_log_with_dates_becomes_study(body, tmp_path):
     study, questions, _ = read_study(tmp_path / "log.parquet")
     assert [*questions] == ["latitude_deg"] and study["study"]["rate_hz"] == RATE
     assert (study["record"]["format"], study["record"]["time_unit"]) == ("parquet", "iso")
-
-
-def test_psins_log_becomes_study_with_the_place_of_its_header(tmp_path):
-    record = package.simulated_record(small_study(study={"duration_s": 40.0, "window_s": [0, 40]}))
-    write_psins(record._replace(latitude_deg=32.0), tmp_path / "car.imu")
-    study, questions, _ = read_study(tmp_path / "car.imu")
-    assert study["record"]["format"] == "psins" and not questions
 
 
 @pytest.mark.parametrize("largest_deg_per_h", [50, 1200])
