@@ -47,8 +47,7 @@ def init(
         Path | None,
         typer.Option(
             "--from",
-            help="With `init record`: the record to describe (delimited text, Parquet, PSINS"
-            " text).",
+            help="With `init record`: the record to describe (delimited text or Parquet).",
             metavar="LOG",
         ),
     ] = None,

@@ -22,7 +22,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 from sinsjax.study.turns import data_end_s
 from sinsjax.study.variants import Variants
-from sinsjax.units import ARCMIN, DEG
+from sinsjax.units import ARCMIN, DEG, micro_g
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _START_KEYS = ("p0_yaw_deg", "phi_u0_deg")  # of filters; of other methods that need a start
@@ -60,22 +60,16 @@ def check_record(study: Study, stored: StoredRecord) -> list[str]:
     """
     section, record = study.record, stored.record
     assert section is not None
-    layout = record.layout or section.layout(study.study.rate_hz)
     doubts = [f"{record.source}: {remark}" for remark in record.remarks]
-    if record.filled:
-        key = "max_gap_s" if record.layout else "[record] max_gap_s"
-        doubts.append(
-            f"{record.source}: {record.filled} missing samples are interpolated (gaps up to"
-            f" {key} = {layout.max_gap_s:g} s)"
-        )
     site, _ = read_site(study, Variants(study, np.zeros(1, int)), stored)
     expected = StationaryValues(
         earth_rate=float(site.earth.rate),
         latitude=float(site.latitude),
         gravity=float(site.place.gravity),
         gyro_bias_deg_per_h=section.gyro_bias_deg_per_h,
-        accel_bias_ug=section.accel_bias_ug,
     )
+    if section.accel_bias_ug is not None:
+        expected = expected._replace(accel_bias=section.accel_bias_ug * micro_g())
     spans = _used_spans(study, record)
     found: list[tuple[str, Finding]] = [
         (record.source, anomaly) for anomaly in report_anomalies(record.anomalies, spans)
@@ -83,7 +77,7 @@ def check_record(study: Study, stored: StoredRecord) -> list[str]:
     for span in spans:
         begin_s, end_s = (format_seconds(sample / record.rate_hz) for sample in span)
         where = f"{record.source}: {begin_s} to {end_s} s"
-        found += [(where, finding) for finding in check_stationary(record, span, layout, expected)]
+        found += [(where, finding) for finding in check_stationary(record, span, expected)]
     needs_north = any(METHODS[name].finds_heading for name in study.methods)
     for where, finding in found:
         text, hint = finding.text, _TRUST_HINT

@@ -8,25 +8,19 @@ from pathlib import Path
 
 from sinsjax.records.arrays import record_from_arrays
 from sinsjax.records.layout import (
-    ACCEL_UNITS,
-    GYRO_UNITS,
     PSINS_LAYOUT,
-    TIME_UNITS,
     Record,
     RecordLayout,
     check_layout,
     require_span,
 )
 from sinsjax.records.psins import read_psins
-from sinsjax.records.reader import open_parquet, open_text
+from sinsjax.records.reader import open_log
 from sinsjax.records.reference import Reference, read_reference
 from sinsjax.records.tabular import record_from_table
 
 __all__ = [
-    "ACCEL_UNITS",
-    "GYRO_UNITS",
     "PSINS_LAYOUT",
-    "TIME_UNITS",
     "Record",
     "RecordLayout",
     "Reference",
@@ -53,6 +47,4 @@ def read_record(path: str | Path, layout: RecordLayout) -> Record:
     if layout.format == "psins":
         return read_psins(path, layout)
     check_layout(layout, str(path))
-    if layout.format == "parquet":
-        return record_from_table(layout, open_parquet(path))
-    return record_from_table(layout, open_text(path, layout.columns, layout.skip_rows))
+    return record_from_table(layout, open_log(path, layout.columns, layout.skip_rows))

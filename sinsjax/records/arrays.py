@@ -1,6 +1,6 @@
 """Records and reference attitudes from arrays in memory: NumPy, pandas, Polars, Arrow."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -23,11 +23,8 @@ def record_from_arrays(  # noqa: PLR0913
     accel_unit: str = "m_per_s2",
     time_unit: str = "s",
     axes: str = "rfu",
-    mounting_deg: Sequence[float] = (0.0, 0.0, 0.0),
     rate_hz: float | None = None,
     max_gap_s: float = 0.0,
-    latitude_deg: float | None = None,
-    height_m: float | None = None,
     reference: Any = None,
     source: str = "arrays",
 ) -> StoredRecord:
@@ -45,11 +42,8 @@ def record_from_arrays(  # noqa: PLR0913
         time_unit: "s", "ms", "us" or "ns".
         axes: directions of x, y and z: "rfu" (right, front, up), "frd" or "flu"; or the axes that
             point right, front and up as a signed permutation, such as "y-xz".
-        mounting_deg: attitude of these axes in the vehicle: pitch, roll, counter-clockwise yaw.
         rate_hz: sample rate, Hz; None takes it from the times.
         max_gap_s: longest gap between good samples that is interpolated.
-        latitude_deg: geodetic latitude, which a study's [earth] may then omit.
-        height_m: height above the ellipsoid, likewise.
         reference: attitude to compare with: a mapping or table with the columns of
             `read_reference`, on the clock of ``time``, or a `Reference`.
         source: name of the record, for messages and manifests.
@@ -76,7 +70,6 @@ def record_from_arrays(  # noqa: PLR0913
         gyro_unit=gyro_unit,
         accel_unit=accel_unit,
         axes_order=axes,
-        mounting_deg=tuple(mounting_deg),
         rate_hz=rate_hz,
         time_unit=time_unit,
         max_gap_s=max_gap_s,
@@ -87,7 +80,6 @@ def record_from_arrays(  # noqa: PLR0913
         if pa.types.is_timestamp(columns["time"].type):
             layout = layout._replace(time_unit="iso")
     record = record_from_table(layout, _make_table(source, columns))
-    record = record._replace(latitude_deg=latitude_deg, height_m=height_m, layout=layout)
     if reference is not None and not isinstance(reference, Reference):
         place = f"{source}: reference"
         names = getattr(reference, "column_names", None)  # of Arrow, whose `columns` are arrays

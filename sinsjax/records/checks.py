@@ -12,13 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sinsjax.records.layout import (
-    ACCEL_UNITS,
     Finding,
     FloatArray,
     Record,
-    RecordLayout,
     find_spans,
-    rate_factor,
 )
 from sinsjax.records.motion import Motion, measure_motion, white_noise
 from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
@@ -29,7 +26,6 @@ GYRO_BIAS, ACCEL_BIAS_UG = 10.0 * DEG_PER_H, 5000.0
 LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
 """The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
 
-_NEAR_GRAVITY = 0.018  # relative: cm/s^2 would be mg with 0.0193
 _MAX_G, _MAX_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _MAX_REPORTED = 6  # anomalies, in messages
 _STUCK_S = 1.0  # of all six channels: a single coarse one may repeat for long
@@ -50,18 +46,13 @@ class StationaryValues(NamedTuple):
     latitude: float
     gravity: float
     gyro_bias_deg_per_h: float | None = None  # None for the usual ones
-    accel_bias_ug: float | None = None
+    accel_bias: float = ACCEL_BIAS_UG * micro_g()
 
     @property
     def gyro_bias(self) -> float:
         """Largest gyro bias, rad/s."""
         given = self.gyro_bias_deg_per_h
         return GYRO_BIAS if given is None else given * DEG_PER_H
-
-    @property
-    def accel_bias(self) -> float:
-        """Largest accelerometer bias, m/s^2."""
-        return (ACCEL_BIAS_UG if self.accel_bias_ug is None else self.accel_bias_ug) * micro_g()
 
     @property
     def horizontal_rate(self) -> float:
@@ -125,43 +116,25 @@ def report_anomalies(
 
 
 def check_stationary(
-    record: Record, span: tuple[int, int], layout: RecordLayout, expected: StationaryValues
+    record: Record, span: tuple[int, int], expected: StationaryValues
 ) -> list[Finding]:
     """Return what is implausible for a base that stays in a span (from, to before) of a record.
 
-    The span is at least a second long and lacks no sample. The layout that the record was read with
-    suggests causes.
+    The span is at least a second long and lacks no sample.
     """
     motion = measure_motion(record, span, expected.gravity)
     noise = white_noise(record.dtheta[slice(*span)], record.rate_hz)
-    return [
-        *_check_force(motion, layout, record.rate_hz, expected),
-        *_check_gyros(motion, expected, noise),
-    ]
+    return [*_check_force(motion, expected), *_check_gyros(motion, expected, noise)]
 
 
-def gravity_units(magnitude: float, rate_hz: float = math.nan) -> list[str]:
-    """Return the units in which the magnitude of a mean specific force is that of gravity."""
-    return [
-        unit for units in ACCEL_UNITS.values() for unit in units
-        if abs(magnitude * rate_factor(unit, rate_hz) / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY
-    ]  # fmt: skip
-
-
-def _check_force(
-    motion: Motion, layout: RecordLayout, rate_hz: float, expected: StationaryValues
-) -> Iterator[Finding]:
+def _check_force(motion: Motion, expected: StationaryValues) -> Iterator[Finding]:
     ratio = motion.force_magnitude / expected.gravity
     if abs(ratio - 1) * expected.gravity > expected.accel_bias:
         is_certain = not 1 / _CERTAIN_FACTOR < ratio < _CERTAIN_FACTOR
         bias = abs(ratio - 1) * expected.gravity / micro_g()
         cause = f"an accelerometer bias of {bias:.2g} ug or more would explain it"
         if is_certain:
-            cause = "has gravity been removed, or is the accelerometer scale wrong?"
-        magnitude = motion.force_magnitude / rate_factor(layout.accel_unit, rate_hz)
-        units = [] if layout.format == "psins" else gravity_units(magnitude, rate_hz)
-        if units and layout.accel_unit not in units:
-            cause = f"are these {units[0]}?"
+            cause = "has gravity been removed, or is the accelerometers' unit or scale wrong?"
         text = f"the mean specific force is {motion.force_magnitude:.5g} m/s^2, {ratio:.3g} times"
         yield Finding(is_certain, f"{text} gravity: {cause}")
     length = float(np.linalg.norm(motion.force)) or 1.0

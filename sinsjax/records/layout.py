@@ -64,16 +64,13 @@ class Record(NamedTuple):
     dv: FloatArray  # (T, 3) specific-force increments over each sample, m/s
     rate_hz: float
     t0_s: float = 0.0  # begin of the first sample; sample k ends at t0_s + (k + 1) / rate_hz
-    latitude_deg: float | None = None  # geodetic, from the file's header; so are the next three
+    latitude_deg: float | None = None  # geodetic, from the file's header; so are the next two
     height_m: float | None = None
-    attitude_deg: tuple[float, float, float] | None = None  # pitch, roll, counter-clockwise yaw
     gravity_m_per_s2: float | None = None  # the g that scales the file's specific force
     source: str = "record"  # the file's name, for messages
     flaws: tuple[Flaw, ...] = ()  # missing samples, which are nan in dtheta and dv
-    filled: int = 0  # number of missing samples that were interpolated
-    layout: "RecordLayout | None" = None  # of arrays, for messages; that of a file is in the study
     anomalies: tuple[Finding, ...] = ()  # samples that are impossible for a base at rest
-    remarks: tuple[str, ...] = ()  # what was left out or assumed while the file was read
+    remarks: tuple[str, ...] = ()  # what was left out, filled or assumed while the file was read
 
 
 class RecordLayout(NamedTuple):
@@ -81,7 +78,7 @@ class RecordLayout(NamedTuple):
 
     The fields are keys of a study's ``[record]`` section (``sinsjax keys record``), with the sample
     rate. Increments are over each sample, rates averaged over it, stamps at its end. PSINS text
-    uses only axes_order, mounting_deg and rate_hz. ``axes_order`` names the record's axes that
+    uses only axes_order and rate_hz. ``axes_order`` names the record's axes that
     point right, front and up: "y-xz" means that right is +y of the record, front is -x and up is
     +z; or is a name of `NAMED_AXES`. "" is no column of times, None a rate from the file.
     """
@@ -101,7 +98,6 @@ class RecordLayout(NamedTuple):
     gyro_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     accel_scale: tuple[float, ...] = (1.0, 1.0, 1.0)
     axes_order: str = "xyz"
-    mounting_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
     rate_hz: float | None = None
     max_gap_s: float = 0.0
 
@@ -161,10 +157,7 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
     taken = list(layout.time_columns)
     for sensor, (columns, _, scale) in zip(("gyro", "accel"), layout.sensors, strict=True):
         if len(columns) != 3 or not all(columns):
-            yield (
-                f"{sensor}_columns",
-                f"must name three columns, not {len([*filter(None, columns)])}",
-            )
+            yield f"{sensor}_columns", "must name three columns"
         for name, factor in zip(columns, scale, strict=False):
             if name in taken:
                 yield f"{sensor}_columns", f"column {name!r} is named twice"
@@ -213,17 +206,6 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     if np.linalg.det(signs[:, None] * np.eye(3)[index]) < 0:
         raise ValueError(f"{order!r} is left-handed: it mirrors the axes; change one sign")
     return index, signs
-
-
-def to_vehicle_axes(values: FloatArray, layout: RecordLayout) -> FloatArray:
-    """Transform (T, 3) vectors from a record's axes to those of the vehicle, right-front-up."""
-    values, (pitch, roll, yaw) = to_body_axes(values, layout.axes_order), layout.mounting_deg
-    if not any(layout.mounting_deg):
-        return values
-    from scipy.spatial.transform import Rotation  # half the import time of sinsjax
-
-    mounting = Rotation.from_euler("ZXY", [yaw, pitch, roll], degrees=True)
-    return np.asarray(mounting.apply(values))
 
 
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:

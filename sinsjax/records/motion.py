@@ -75,20 +75,21 @@ def measure_motion(record: Record, span: tuple[int, int], gravity: float) -> Mot
     steps = np.diff(psi) - np.median(np.diff(psi))
     vertical = _fit_slope(psi[:, None], n * dt)
     level = _fit_slope(ups, n * dt)
-    seconds = np.array_split(dv / dt, max(1, int(n * dt)))
-    magnitudes = _norm(force.mean(axis=0)), float(np.mean([_norm(s.mean(axis=0)) for s in seconds]))
+    seconds = [part.mean(axis=0) for part in np.array_split(dv / dt, max(1, int(n * dt)))]
+    resolved = float(np.linalg.norm(force.mean(axis=0)))
+    magnitude = float(np.linalg.norm(seconds, axis=1).mean())
     return Motion(
         force=dv.mean(axis=0) / dt,
         # Fast sways shorten the means of seconds, wrong gyros the resolved one: the better counts.
-        force_magnitude=min(magnitudes, key=lambda size: abs(size - gravity)),
-        resolved_ratio=magnitudes[0] / (magnitudes[1] or 1.0),
+        force_magnitude=min((resolved, magnitude), key=lambda size: abs(size - gravity)),
+        resolved_ratio=resolved / (magnitude or 1.0),
         tilt_change=float(np.linalg.norm(tilts - tilts.mean(axis=0), axis=1).max()),
         turn=float(np.ptp(psi)),
         uneven_turn=float(np.ptp(np.cumsum([0.0, *steps]))),
         sway=10 * float(np.median(np.abs(steps))),
         vertical_rate=float(vertical.rate[0]),
         vertical_uncertainty=vertical.uncertainty,
-        drift=_norm(level.rate),
+        drift=float(np.linalg.norm(level.rate)),
         drift_uncertainty=level.uncertainty,
         length_s=n * dt,
     )
@@ -130,10 +131,6 @@ def _block_means(values: FloatArray) -> FloatArray:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
-
-
-def _norm(vector: FloatArray) -> float:
-    return float(np.linalg.norm(vector))
 
 
 # Attitudes, as quaternions (..., 4), scalar first

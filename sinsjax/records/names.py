@@ -60,13 +60,7 @@ class _Name(NamedTuple):
 
 
 def find_triads(names: Iterable[str], sensor: str, units: Mapping[str, str]) -> list[Triad]:
-    """Return the triads of ``"gyro"`` or ``"accel"`` among a file's columns, in its order.
-
-    Args:
-        names: of the columns.
-        sensor: of the triads.
-        units: in words by name, from a row of units.
-    """
+    """Return the triads of ``"gyro"`` or ``"accel"`` among columns; a row gives units by name."""
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         stem, axis, unit = _parse_name(name, sensor, units.get(name, ""))

@@ -16,8 +16,8 @@ import numpy as np
 
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten
-from sinsjax.records.checks import gravity_units
 from sinsjax.records.layout import (
+    ACCEL_UNITS,
     GYRO_UNITS,
     INCREMENTS,
     RATES,
@@ -51,6 +51,7 @@ _TIME_NAME = re.compile(
 )
 _TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])([nmu]|nano|micro|milli)?s(?:ec(?:ond)?s?)?[\])\s]*$")
 _POSSIBLE_HZ = 0.5, 5000.0  # rates of IMUs
+_NEAR_GRAVITY = 0.018  # relative: cm/s^2 would be mg with 0.0193
 _MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeated rows
 
 
@@ -65,15 +66,7 @@ class Proposal:
 
 
 def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
-    """Propose the layout of the record in an opened file.
-
-    Args:
-        table: the opened file.
-        answers: keys of the layout that the user has given.
-
-    Raises:
-        InputError: the file is no table of the samples of one IMU.
-    """
+    """Propose the layout of the record in an opened file, with keys that the user has given."""
     if len(table.names) < MIN_COLUMNS:
         text = f"found {len(table.names)} columns; an IMU log needs at least {MIN_COLUMNS}"
         raise InputError(f"{table.source}: {text}")
@@ -171,9 +164,10 @@ def _accel_unit(accel: Triad, size: float, proposal: Proposal) -> str:
         ratio = size * rate_factor(unit, rate_hz) / STANDARD_GRAVITY
         proposal.reasons["accel_unit"] = f"by the names; the mean is {ratio:.4g} times gravity"
         return unit
-    if found := [u for u in gravity_units(size, rate_hz) if is_rate(u) == are_rates]:
-        proposal.reasons["accel_unit"] = f"the mean has the magnitude of gravity, {size:.5g}"
-        return found[0]
+    for unit in ACCEL_UNITS[RATES if are_rates else INCREMENTS]:
+        if abs(size * rate_factor(unit, rate_hz) / STANDARD_GRAVITY - 1) < _NEAR_GRAVITY:
+            proposal.reasons["accel_unit"] = f"the mean has the magnitude of gravity, {size:.5g}"
+            return unit
     counts = f"gravity in no unit: if these are counts, one is {1 / (size or 1.0):.4g} of gravity"
     question = _NO_RATE if accel.are_increments and math.isnan(rate_hz) else counts
     proposal.questions["accel_unit"] = f"the mean has a magnitude of {size:.5g}, {question}"
@@ -247,10 +241,7 @@ class _Clock(NamedTuple):
 
 
 def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) -> _Clock:
-    """Propose columns and units of time by names and by the steps of stamps, or ask for the rate.
-
-    Columns of sensors are taken. Of several clocks the first one without a question counts.
-    """
+    """Return the first clock that names and steps of stamps tell, or one with a question."""
     kinds, given = table.kinds, answers.get("time_column")
     names = [
         name for name, kind in kinds.items()

@@ -157,7 +157,6 @@ def _read_start(path: str | Path) -> bytes:
 
 def open_parquet(path: str | Path) -> Table:
     """Open a Parquet file."""
-    _read_start(path)
     try:
         data = pq.ParquetFile(path).read()
     except (pa.ArrowException, OSError):

@@ -1,10 +1,9 @@
 """Records from named columns of numbers, by a `RecordLayout`."""
 
-import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
@@ -17,14 +16,21 @@ from sinsjax.records.layout import (
     find_spans,
     is_rate,
     rate_factor,
-    to_vehicle_axes,
+    to_body_axes,
     unit_factor,
 )
 from sinsjax.records.reader import MISSING_TEXT, Table
 from sinsjax.records.stamps import Sampling, combine_times, find_sampling, format_step
 
-_MAX_OFFERED_GAP_S = 1.0
-"""Longest gap for which interpolation is offered: most bases sway more slowly than this."""
+
+class _Samples(NamedTuple):
+    """The rows of a table that have a time of their own."""
+
+    values: FloatArray  # (n, 6) as in the table
+    row: NDArray[np.int64]  # (n,) in the table
+    time_s: FloatArray  # (n,), or empty without a column of times
+    sampling: Sampling
+    remarks: list[str]
 
 
 def record_from_table(layout: RecordLayout, table: Table) -> Record:
@@ -36,100 +42,86 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     it is nan and a flaw of the record, see `require_span`. Errors name the row and the column.
     """
     names = [name for sensor in layout.sensors for name in sensor.columns]
-    dates = [layout.time_column] if layout.time_unit == "iso" else []
-    columns = table.read([*names, *layout.time_columns], dates)
-    rows, times = np.column_stack(columns[:6]), columns[6:]
-    del columns  # to save the memory of a second copy of a long record
-    if not np.isfinite(rows).all(axis=1).any():
-        raise InputError(f"{table.source}: no row has a number in all six columns of the sensors")
-    remarks, samples = list[str](), np.arange(len(rows))
-    if times:
-        time_s = combine_times(times, layout)
-        if not np.isfinite(time_s).any():
-            raise InputError(f"{table.source}: column {layout.time_column!r}: {MISSING_TEXT}")
-        repeated = np.zeros(len(rows), bool)
-        repeated[1:] = (time_s[1:] == time_s[:-1]) & (rows[1:] == rows[:-1]).all(axis=1)
-        if repeated.any():
-            count = format_count(int(repeated.sum()), "row")
-            first = table.row_number(int(repeated.argmax()))
-            remarks.append(f"{count} left out that repeat the one before, the first in row {first}")
-        samples = np.flatnonzero(np.isfinite(time_s) & ~repeated)
-        if len(samples) < len(rows):
-            rows, time_s = rows[samples], time_s[samples]
-        sampling = find_sampling(
-            table.source, layout, time_s, lambda k: table.row_number(int(samples[k]))
-        )
-        remarks += filter(None, [sampling.remark])
-    else:
-        assert layout.rate_hz is not None  # as `check_layout` ensures without a time column
-        time_s, sampling = np.empty(0), Sampling(layout.rate_hz, 0.0, samples)
-    rate_hz, number = sampling.rate_hz, sampling.number
+    samples = _read_samples(layout, table, names)
+    rate_hz, t0_s, number, _ = samples.sampling
+    whole = np.full((number[-1] + 1, 6), np.nan)
+    whole[number] = samples.values
+    whole[~np.isfinite(whole).all(axis=1)] = np.nan
 
     def row_number(sample: int) -> int:
-        return table.row_number(int(samples[np.searchsorted(number, sample)]))
+        return table.row_number(int(samples.row[np.searchsorted(number, sample)]))
 
     def describe_gap(sample: int) -> str:
         k = int(np.searchsorted(number, sample))
         row = f"row {row_number(sample)}"
         if number[k] != sample:
             place = f"{table.source}: column {layout.time_column!r}: {row}"
-            return f"{place}: a gap at {rate_hz:g} Hz, {format_step(time_s, k - 1)}"
-        channel = int(np.isfinite(rows[k]).argmin())
+            return f"{place}: a gap at {rate_hz:g} Hz, {format_step(samples.time_s, k - 1)}"
+        channel = int(np.isfinite(samples.values[k]).argmin())
         return f"{table.source}: {row}: column {names[channel]!r}: {MISSING_TEXT}"
 
-    filled = _fill_gaps(rows, sampling, layout, describe_gap)
+    remarks = samples.remarks
+    if count := _interpolate_gaps(whole, rate_hz, layout.max_gap_s):
+        remarks.append(f"{format_count(count, 'missing sample')} interpolated, see max_gap_s")
+    hint = "" if layout.format == "psins" else " (max_gap_s interpolates short gaps)"
+    missing = find_spans(np.isnan(whole[:, 0]))
     factors = np.concatenate(
         [np.multiply(rate_factor(unit, rate_hz), scale) for _, unit, scale in layout.sensors]
     )
-    anomalies = find_anomalies(names, filled.rows, factors, rate_hz, row_number)
-    increments = list[FloatArray]()
-    for values, (_, unit, scale) in zip(np.hsplit(filled.rows, 2), layout.sensors, strict=True):
-        values = values * (unit_factor(unit) * np.array(scale))
-        if is_rate(unit):
-            values /= rate_hz
-        increments.append(to_vehicle_axes(values, layout))
-    dtheta, dv = increments
+    anomalies = find_anomalies(names, whole, factors, rate_hz, row_number)
+    dtheta, dv = (
+        to_body_axes(values * (unit_factor(unit) * np.array(scale)), layout.axes_order)
+        / (rate_hz if is_rate(unit) else 1.0)
+        for values, (_, unit, scale) in zip(np.hsplit(whole, 2), layout.sensors, strict=True)
+    )
     return Record(
         dtheta,
         dv,
-        rate_hz=rate_hz,
-        t0_s=sampling.t0_s,
+        rate_hz,
+        t0_s,
         source=table.source,
-        flaws=tuple(filled.flaws),
-        filled=filled.interpolated,
+        flaws=tuple(Flaw(begin, end, describe_gap(begin) + hint) for begin, end in missing),
         anomalies=anomalies,
         remarks=tuple(remarks),
     )
 
 
-class _Filled(NamedTuple):
-    """Rows of all samples from the first to the last, and what is missing among them."""
+def _read_samples(layout: RecordLayout, table: Table, names: list[str]) -> _Samples:
+    """Return the samples of a table, without rows that have no time or repeat the one before."""
+    dates = [layout.time_column] if layout.time_unit == "iso" else []
+    columns = table.read([*names, *layout.time_columns], dates)
+    values, times = np.column_stack(columns[:6]), columns[6:]
+    del columns  # to save the memory of a second copy of a long record
+    if not np.isfinite(values).all(axis=1).any():
+        raise InputError(f"{table.source}: no row has a number in all six columns of the sensors")
+    if not times:
+        assert layout.rate_hz is not None  # as `check_layout` ensures
+        row = np.arange(len(values))
+        return _Samples(values, row, np.empty(0), Sampling(layout.rate_hz, 0.0, row), [])
+    time_s = combine_times(times, layout)
+    if not np.isfinite(time_s).any():
+        raise InputError(f"{table.source}: column {layout.time_column!r}: {MISSING_TEXT}")
+    repeated = np.zeros(len(values), bool)
+    repeated[1:] = (time_s[1:] == time_s[:-1]) & (values[1:] == values[:-1]).all(axis=1)
+    row = np.flatnonzero(np.isfinite(time_s) & ~repeated)
+    if len(row) < len(values):
+        values, time_s = values[row], time_s[row]
+    sampling = find_sampling(table.source, layout, time_s, lambda k: table.row_number(int(row[k])))
+    remarks = [*filter(None, [sampling.remark])]
+    if repeated.any():
+        count = format_count(int(repeated.sum()), "row")
+        first = table.row_number(int(repeated.argmax()))
+        remarks.append(f"{count} left out that repeat the one before, the first in row {first}")
+    return _Samples(values, row, time_s, sampling, remarks)
 
-    rows: FloatArray  # (T, 6); nan in flaws
-    flaws: list[Flaw]
-    interpolated: int  # samples
 
-
-def _fill_gaps(
-    rows: FloatArray, sampling: Sampling, layout: RecordLayout, describe_gap: Callable[[int], str]
-) -> _Filled:
-    """Return rows of all samples: short gaps are interpolated, others become nan and a flaw."""
-    rate, number = sampling.rate_hz, sampling.number
-    whole = np.full((number[-1] + 1, rows.shape[1]), np.nan)
-    whole[number] = rows
-    missing = np.asarray(~np.isfinite(whole).all(axis=1))
-    whole[missing] = np.nan
-    good, fill, flaws = np.flatnonzero(~missing), np.zeros(len(whole), bool), list[Flaw]()
+def _interpolate_gaps(rows: FloatArray, rate_hz: float, max_gap_s: float) -> int:
+    """Interpolate short gaps of rows that are nan, in place; return the number of such rows."""
+    missing = np.isnan(rows[:, 0])
+    good, short = np.flatnonzero(~missing), np.zeros(len(rows), bool)
     for begin, end in find_spans(missing):
-        inside = begin > 0 and end < len(whole)
-        gap_s = (end - begin + 1) / rate if inside else math.inf
-        if gap_s <= layout.max_gap_s * (1 + 1e-9):
-            fill[begin:end] = True
-            continue
-        text = describe_gap(begin)
-        if gap_s <= _MAX_OFFERED_GAP_S and layout.format != "psins":
-            text += f" (max_gap_s = {math.ceil(gap_s * 1e3 - 1e-6) / 1e3:g} would interpolate it)"
-        flaws.append(Flaw(begin, end, text))
-    for column in whole.T:
-        column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
-    return _Filled(whole, flaws, int(fill.sum()))
+        gap_s = (end - begin + 1) / rate_hz  # between good samples
+        short[begin:end] = begin > 0 and end < len(rows) and gap_s <= max_gap_s * (1 + 1e-9)
+    for column in rows.T:
+        column[short] = np.interp(np.flatnonzero(short), good, column[good])
+    return int(short.sum())

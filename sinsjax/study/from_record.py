@@ -1,7 +1,7 @@
 """A study for a record without a description: ``sinsjax init record --from log.csv``.
 
-Every key has a comment with its reason. What neither names nor gravity tell is ``"?"``, with the
-evidence above it: the study runs once it is answered.
+What names or gravity tell has its reason as a comment. The rest is ``"?"``, with the evidence above
+it: the study runs once it is answered.
 """
 
 import json
@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError, create_model
 
 from sinsjax.errors import InputError
@@ -22,10 +23,9 @@ from sinsjax.records.checks import (
     check_stationary,
     report_anomalies,
 )
-from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout
+from sinsjax.records.layout import Record, RecordLayout, find_spans
 from sinsjax.records.motion import EARTH_RATE, measure_motion, white_noise
 from sinsjax.records.propose import Proposal, propose_layout
-from sinsjax.records.psins import is_psins
 from sinsjax.records.reader import open_log
 from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
 from sinsjax.study.keys import SECTIONS
@@ -36,15 +36,6 @@ _LONGEST_S, _COARSE_S, _SHORTEST_S = 3600.0, 10.0, 10.0
 _RATE_TOLERANCE = 1e-4  # relative deviation of clocks from the nominal rate
 _OTHER_ANSWERS = ("study.rate_hz", "earth.latitude_deg", "record.gyro_bias_deg_per_h")
 _WIDTH = 100
-_REASONS = {
-    "start_s": "s, start of coarse alignment; may be a list",
-    "coarse_method": "survives sway",
-    "coarse_duration_s": "s; its end is t = 0 of the alignment",
-    "fit_accel_bias_ug": "largest usual bias",
-    "inertial": "needs no data sheet; 'kalman_sincos' has a covariance",
-    "gravity_fit": "the turns separate the sensor biases from the heading",
-    "level": "pitch and roll only: the gyros cannot find north",
-}
 _UNKNOWN_LENGTH = (
     "the length is unknown, and nothing is checked: with answers about columns and time, `sinsjax"
     " init record --from LOG --set KEY=VALUE` examines the rest"
@@ -55,9 +46,7 @@ _HEAD = """{schema}
 # Put an answer in place of each ? (QUESTION), and check what a DOUBT says.
 #
 #   sinsjax validate {study}
-#   sinsjax align {log} {study} -o out
-#
-# With --reference FILE the result is compared; its columns: the page own_record."""
+#   sinsjax align {log} {study} -o out"""
 
 
 def make_study_text(
@@ -66,7 +55,7 @@ def make_study_text(
     """Return the text of a study that aligns a record, with reasons, doubts and open questions.
 
     Args:
-        record_path: delimited text, Parquet, or PSINS text.
+        record_path: delimited text or Parquet.
         study_path: file of the study.
         answers: values by ``section.key``, which are taken as given.
 
@@ -74,7 +63,8 @@ def make_study_text(
         InputError: the file cannot contain a record, or an answer does not fit it.
     """
     given = _check_answers(answers or {})
-    proposal = _propose_record(record_path, given)
+    table = open_log(record_path, given.get("columns", ()), given.get("skip_rows", 0))
+    proposal = propose_layout(table, given)
     layout, questions = proposal.layout, proposal.questions
     settings: dict[str, Any] = {"name": escape_controls(record_path.stem), "duration_s": 60.0}
     earth = {"earth": "wgs84", "latitude_deg": given.get("latitude_deg")}
@@ -83,7 +73,7 @@ def make_study_text(
         for key, value in layout._asdict().items()
         if key in questions
         or value != RecordLayout._field_defaults.get(key)
-        or (key in ("gyro_unit", "accel_unit") and layout.format != "psins")
+        or key in ("gyro_unit", "accel_unit")
     }
     described.pop("rate_hz", None)
     sections: dict[str, dict[str, Any]] = {"study": settings, "earth": earth, "record": described}
@@ -95,10 +85,8 @@ def make_study_text(
         doubts = [_UNKNOWN_LENGTH]
         if layout.rate_hz or "rate_hz" in questions:  # else the stamps will give it
             settings["rate_hz"] = layout.rate_hz
-    if earth.get("latitude_deg", 0.0) is None:
+    if earth["latitude_deg"] is None:
         questions.setdefault("latitude_deg", _LATITUDE)
-    reasons = _REASONS | proposal.reasons
-    reasons["method"] = _REASONS[sections["alignment"]["method"]]
     log, study = (escape_controls(path.name) for path in (record_path, study_path))
     lines = [_HEAD.format(schema=schema_line(), log=log, study=study)]
     for title, keys in sections.items():
@@ -106,7 +94,7 @@ def make_study_text(
             continue
         lines += ["", f"[{title}]"]
         for key, value in keys.items():
-            lines += _format_key(key, value, reasons.get(key, ""), questions.get(key, ""))
+            lines += _format_key(key, value, proposal.reasons.get(key, ""), questions.get(key, ""))
         if title == "record":
             lines += [_wrap_comment(doubt, DOUBT) for doubt in doubts]
     return "\n".join([*lines, ""])
@@ -134,23 +122,14 @@ def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     return checked
 
 
-def _propose_record(path: Path, answers: Mapping[str, Any]) -> Proposal:
-    """Return what names and gravity tell of a log."""
-    table = open_log(path, answers.get("columns", ()), answers.get("skip_rows", 0))
-    if table.format == "csv" and "columns" not in answers and is_psins(path):
-        return Proposal(PSINS_LAYOUT)
-    return propose_layout(table, answers)
-
-
 def _set_times(
     study: dict[str, Any], keys: dict[str, Any], coarse: dict[str, Any], record: Record
-) -> tuple[int, int]:
-    """Set the times at which the longest part without a gap is aligned; return its span."""
+) -> None:
+    """Set the times at which the longest part without a gap is aligned."""
     rate = float(round(record.rate_hz)) or record.rate_hz  # nominal
     rate = rate if abs(record.rate_hz / rate - 1) <= _RATE_TOLERANCE else record.rate_hz
     interval_s = max(1, round(rate)) / rate
-    ends = [0, *(n for flaw in record.flaws for n in (flaw.begin, flaw.end)), len(record.dv)]
-    parts = list(zip(ends[::2], ends[1::2], strict=True))
+    parts = find_spans(np.isfinite(record.dv[:, 0]))
     begin, end = max(parts, key=lambda part: part[1] - part[0])
     start_s = float(math.ceil(begin / rate))
     intervals = math.floor((end / rate - start_s) / interval_s + 1e-6)
@@ -166,8 +145,6 @@ def _set_times(
     study |= {"record_interval_s": interval_s, "settle_bands_arcmin": [60, 10]}
     keys["start_s"] = [start_s]
     coarse |= {"coarse_method": "inertial", "coarse_duration_s": coarse_s}
-    begin = round(start_s * record.rate_hz)
-    return begin, min(begin + round((coarse_s + fine_s) * rate), len(record.dv))
 
 
 def _complete(
@@ -175,22 +152,22 @@ def _complete(
 ) -> list[str]:
     """Add what the samples of a record show to the sections of its study; return the doubts."""
     study, earth, keys, coarse, alignment = sections.values()
-    span = _set_times(study, keys, coarse, record)
+    _set_times(study, keys, coarse, record)
+    begin = round(keys["start_s"][0] * record.rate_hz)
+    length = round((coarse["coarse_duration_s"] + study["duration_s"]) * study["rate_hz"])
+    span = (begin, min(begin + length, len(record.dv)))
     proposal.reasons["duration_s"] = f"s; the file has {len(record.dv) / record.rate_hz:.4g} s"
     proposal.reasons["rate_hz"] = f"Hz; that of the stamps is {record.rate_hz:.6g}"
-    latitude_deg = earth["latitude_deg"]
     if bias is not None:
         keys["gyro_bias_deg_per_h"] = bias
-    if latitude_deg is None and record.latitude_deg is not None:
-        latitude_deg = record.latitude_deg
-        del earth["latitude_deg"]  # the header gives the place
     motion = measure_motion(record, span, STANDARD_GRAVITY)
-    latitude = motion.latitude if latitude_deg is None else latitude_deg * DEG
+    given = earth["latitude_deg"]
+    latitude = motion.latitude if given is None else given * DEG
     findings = report_anomalies(record.anomalies, [span])
     is_known = not proposal.questions.keys() & {"gyro_unit", "accel_unit", "axes_order"}
     if is_known and not any(finding.is_certain for finding in findings):
         expected = StationaryValues(EARTH_RATE, latitude, STANDARD_GRAVITY, bias)
-        findings += check_stationary(record, span, proposal.layout, expected)
+        findings += check_stationary(record, span, expected)
     if any(finding.hides_north for finding in findings):
         alignment["method"] = "level"
     elif is_known and motion.is_turned:

@@ -347,7 +347,7 @@ class SensorsSection(Section):
 
 
 _ALWAYS = ("format", "from_s", "to_s", "start_s", "gyro_bias_deg_per_h", "accel_bias_ug", "trust")
-_APPLYING_KEYS = {"psins": {*_ALWAYS, "axes_order", "mounting_deg"}, "arrays": {*_ALWAYS}}
+_APPLYING_KEYS = {"psins": {*_ALWAYS, "axes_order"}, "arrays": {*_ALWAYS}}
 """Keys of [record] that apply to formats that fix columns and units."""
 
 _USED_PART = "start and end of the used part, from the record's beginning"
@@ -401,10 +401,6 @@ class RecordSection(Section):
     axes_order: str = field(
         "record axes that point right, front, up: 'y-xz'; or directions of x, y, z: 'rfu', 'frd'",
         "xyz",
-    )
-    mounting_deg: tuple[vt.Angle, vt.Angle, vt.Angle] | None = field(
-        "pitch, roll, counter-clockwise yaw of the IMU (after axes_order) in the vehicle",
-        otherwise="0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
         "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time",

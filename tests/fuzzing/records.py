@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fuzzing.edits import HiddenValue, mangle_bytes
 from fuzzing.studies import KEYS, value_strategy
-from sinsjax.records import ACCEL_UNITS, GYRO_UNITS, TIME_UNITS
+from sinsjax.records.layout import ACCEL_UNITS, GYRO_UNITS, TIME_UNITS
 
 CELLS = [
     *("", " ", "nan", "NaN", "inf", "-inf", "1e999", "-1e308", "1e-320", "0", "-0", "1", "x"),

@@ -6,12 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.memory import process_bytes
 from support.record_files import write_record
-from support.refusals import assert_refusal
+from support.refusals import assert_refusal, refusal_line
 
 from sinsjax import records
-from sinsjax.errors import InputError
 from sinsjax.records import Record, RecordLayout, reader
 
 GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
@@ -29,15 +27,6 @@ ROWS = HEAD + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(1, 5))
 
 def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and a.tobytes() == b.tobytes()
-
-
-def refusal_line(call, *args) -> str:
-    """Return the single line of the InputError."""
-    with pytest.raises(InputError) as caught:
-        call(*args)
-    line = str(caught.value)
-    assert "\n" not in line and len(line) < 400
-    return line
 
 
 def read_whole(path: Path, layout: RecordLayout) -> Record:
@@ -80,7 +69,7 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     ug_s = np.array([125, 100, 50]) * 1e-6 * 9.780327
     np.testing.assert_allclose(record.dtheta, np.array([[-3, 0, 4], [1, -1, 1]]) * scale, 1e-14)
     np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
-    assert record[2:8] == (100.0, 5.0, 34.2, 380.0, (1.0, 2.0, -90.6), 9.780327)
+    assert record[2:7] == (100.0, 5.0, 34.2, 380.0, 9.780327)
     turned = records.read_psins(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
     np.testing.assert_array_equal(turned.dv, record.dv[:, [1, 0, 2]] * [1, -1, 1])
 
@@ -91,26 +80,15 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        (HEADER, "no samples"),
-        (SAMPLE * 9, "row 2: 83"),
         (HEADER + SAMPLE + "1 2 3\n" + SAMPLE, "row 6: 6 3"),
         (HEADER + "1 l 3 4 5 6\n", "row 5: column 'gyro y': 'l'"),
-        (HEADER.replace("0 0 0", "0 0") + SAMPLE, "row 2: 6 numbers"),
         (HEADER.replace(" 10 ", " 0 ") + SAMPLE, "row 3: interval 0 ms"),
-        (HEADER.replace("0.2", "-0.2") + SAMPLE, "row 4: -0.2"),
-        ("a b\n1 2\n", "row 1: 6 PSINS"),
-        (HEAD, "no samples"),
-        (ROWS.replace("gz", "gz_"), "column 'gz' gz_"),
-        (ROWS.replace("gz", "gx"), "column 'gx' once"),
         (ROWS + "0.05,1,2,3\n", "row 6: 7 4 last"),
         (ROWS + "\n0.05,1,2,x,4,5,6\n", "row 7: column 'gz': 'x'"),
-        (ROWS + "0.05,1,2,,4,5,6\n", "row 6: column 'gz': empty"),
         (ROWS + "0.05,1,2,1e300,4,5,6\n", "row 6: column 'gz': range"),
         (ROWS + ",1,2,3,4,5,6\n0.06,1,2,3,4,5,6\n", "column 'time_s': row 7: gap 100 0.04"),
-        (ROWS + '0.05,1,2,3,4,"5,6\n', "row 6: 7 columns"),
         (ROWS + "0.07,1,2,3,4,5,6\n", "column 'time_s': row 6: gap 100 0.04 0.07"),
         (ROWS + "0.04,1,2,3,4,5,7\n", "column 'time_s': row 6: repeats 0.04"),
-        (ROWS + "0.02,1,2,3,4,5,6\n", "column 'time_s': row 6: backward 0.04 0.02"),
         (ROWS.replace("0.0", "0."), "column 'time_s' 10 rate_hz 100"),
     ],
 )
@@ -124,47 +102,25 @@ def test_invalid_text_is_refused(tmp_path, text, told):
 def test_invalid_parquet_file_is_refused(tmp_path):
     path, layout = tmp_path / "bad.parquet", NO_TIME._replace(format="parquet")
     columns = {name: pa.array([1.0, 2.0, 3.0]) for name in GYRO + ACCEL}
-    for change, told in (
-        ({"gz": pa.array([1.0, None, 3.0])}, "row 2: column 'gz': empty"),
-        ({"ay": pa.array([1.0, 2.0, -1e31])}, "row 3: column 'ay': range"),
-        ({"ay": pa.array(["1", "b", "c"])}, "row 2: column 'ay': 'b'"),
-    ):
-        pq.write_table(pa.table(columns | change), path)
-        assert_refusal(refusal_line(read_whole, path, layout), f"{path}: {told}")
-    whole = path.read_bytes()
-    for cut in (whole[:-20], whole[:3], b"time_s,gx\n"):
-        path.write_bytes(cut)
-        assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
-    pq.write_table(pa.table(columns).slice(0, 0), path)
-    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: no samples")
+    pq.write_table(pa.table(columns | {"ay": pa.array(["1", "b", "c"])}), path)
+    told = f"{path}: row 2: column 'ay': 'b'"
+    assert_refusal(refusal_line(read_whole, path, layout), told)
+    path.write_bytes(path.read_bytes()[:-20])
+    assert_refusal(refusal_line(records.read_record, path, layout), f"{path}: Parquet")
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"gyro_unit": "dps"}, "gyro_unit: 'dps' rad deg arcsec rad_per_s"),
-        ({"gyro_scale": (1.0, 0.0, 1.0)}, "gyro_scale: 0"),
-        ({"columns": ("time_s", *GYRO, "ax", "ay")}, "columns: 'az'"),
         ({"accel_columns": ("ax", "ay", "gx")}, "accel_columns: 'gx'"),
         ({"gyro_columns": ("gx", "gyro_neg_y", "gz")}, "gyro_columns: minus 'gyro_neg_y'"),
         ({"time_column": "", "rate_hz": None}, "rate_hz: required time_column"),
-        ({"axes_order": "yxz"}, "axes_order: 'yxz' left-handed"),
     ],
 )
 def test_invalid_layout_is_refused(change, told):
     line = refusal_line(records.check_layout, CSV._replace(**change), "study.toml")
     assert_refusal(line, f"study.toml: {told}")
-
-
-@pytest.mark.parametrize(
-    ("start_s", "needed_s", "told"),
-    [(0.3, 8.71, "9 8.71 9.01"), (0.0, 9.5, "9 9.5"), (-1.0, 1.0, "-1")],
-)
-def test_span_outside_record_is_refused(start_s, needed_s, told):
-    record = Record(np.zeros((900, 3)), np.zeros((900, 3)), 100.0, source="drive.csv")
-    records.require_span(record, 0.1 + 0.2, 8.7)
-    line = refusal_line(records.require_span, record, start_s, needed_s)
-    assert_refusal(line, f"drive.csv: start_s {told}")
 
 
 # --- stamps and gaps
@@ -186,9 +142,7 @@ def test_late_stamps_followed_by_timely_ones_are_no_gap(tmp_path, late, rows):
     time_s[200 : 200 + len(late)] += late
     record = read_whole(timed_csv(tmp_path, time_s), CSV)
     assert len(record.dtheta) == 400 and not record.flaws and record.rate_hz == 100.0
-    assert [text.split(" by ")[0] for text in record.remarks] == [f"{rows} stamps are late"] * bool(
-        rows
-    )
+    assert [remark.split()[0] for remark in record.remarks] == [str(rows)] * bool(rows)
 
 
 def jittering_stamps() -> np.ndarray:
@@ -196,23 +150,12 @@ def jittering_stamps() -> np.ndarray:
     return np.arange(1, 6001) / 200 + np.random.default_rng(7).uniform(0, 0.002, 6000)
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda t: np.insert(t, 3000, t[3000]), "row 3003: time repeats"),
-        (lambda t: t - np.where(np.arange(6000) < 3000, 0, 5.0), "row 3002: time runs backward"),
-        (lambda t: np.insert(t, 3000, t[2999] + [0.001, 0.002]), "a short step at "),
-        (lambda t: t + np.where(np.arange(6000) < 3000, 0, 1e6), "row 3002: a gap at "),
-    ],
-)
-def test_clock_faults_among_jittering_stamps_are_refused(tmp_path, change, says):
-    path = timed_csv(tmp_path, change(jittering_stamps()))
-    assert says in refusal_line(records.read_record, path, ANY_RATE)
+def test_set_clock_is_refused(tmp_path):
+    path = timed_csv(tmp_path, jittering_stamps() + np.where(np.arange(6000) < 3000, 0, 1e6))
+    assert "row 3002: a gap at " in refusal_line(records.read_record, path, ANY_RATE)
 
 
-@pytest.mark.parametrize(
-    "missing", [[], [3000], [300, 301, 5000], [2000, 2020, *range(4000, 4300)]]
-)
+@pytest.mark.parametrize("missing", [[], [300, 301, 5000], [2000, *range(4000, 4300)]])
 def test_missing_samples_among_jittering_stamps_are_found(tmp_path, missing):
     path = timed_csv(tmp_path, np.delete(jittering_stamps(), missing))
     record = records.read_record(path, ANY_RATE)
@@ -242,55 +185,25 @@ def test_missing_samples_are_refused_or_interpolated_and_counted(tmp_path, cell)
         row = 202 if cell is not None else 201
         assert f"row {row}: " in line and ("a gap" in line) == (cell is None)
     record = read_whole(path, CSV._replace(max_gap_s=0.04))
-    assert record.filled == 4
+    assert "4 missing samples" in record.remarks[0]
     np.testing.assert_allclose(record.dtheta, time_s[:, None] * np.ones(3), rtol=1e-12)
     record = records.read_record(path, CSV._replace(max_gap_s=0.03))
-    assert record.filled == 1 and [flaw[:2] for flaw in record.flaws] == [(200, 203)]
-
-
-def test_dates_give_rate_and_start(tmp_path):
-    stamps = np.datetime64("1970-01-01T00:16:40") + np.arange(1, 301) * np.timedelta64(10, "ms")
-    columns = {name: np.ones(300) for name in GYRO + ACCEL}
-    layout = ANY_RATE._replace(format="parquet", time_unit="iso")
-    for dates in (stamps, [f"{stamp}" for stamp in stamps], [f"{stamp}Z" for stamp in stamps]):
-        pq.write_table(pa.table({"time_s": pa.array(dates)} | columns), tmp_path / "a.parquet")
-        record = read_whole(tmp_path / "a.parquet", layout)
-        assert (record.rate_hz, record.t0_s) == (pytest.approx(100), pytest.approx(1000))
-    path = tmp_path / "a.csv"
-    path.write_text(HEAD + "2024-13-01T00:00:00,1,2,3,4,5,6\n")
-    line = refusal_line(records.read_record, path, CSV._replace(time_unit="iso"))
-    assert_refusal(line, f"{path}: row 2: column 'time_s': '2024-13-01T00:00:00'")
-
-
-# --- long records
+    assert [flaw[:2] for flaw in record.flaws] == [(200, 203)]
 
 
 def test_record_read_in_batches_is_bit_identical(tmp_path, monkeypatch):
-    random, path = np.random.default_rng(3), tmp_path / "long"
-    rows = [",".join(map(repr, row)) for row in random.normal(size=(999, 6)).tolist()]
-    rows = [f"2024-05-01T00:00:{k / 100:06.3f},{row}" for k, row in enumerate(rows)]
+    path, values = tmp_path / "long", np.random.default_rng(3).normal(size=(999, 6)).tolist()
+    rows = [f"2024-05-01T00:00:{k / 100:06.3f},{row}" for k, row in enumerate(values)]
+    rows = [row.replace("[", "").replace("]", "") for row in rows]
     del rows[500:503]
-    rows[700] = ",".join([*rows[700].split(",")[:-1], ""])
-    path.write_text(
-        "\r\n".join([HEAD.strip(), *rows[:50], "# a comment", *rows[50:300], "", *rows[300:]])
-    )
+    rows[50:50], rows[300:300] = ["# a comment"], [""]
+    path.write_text("\r\n".join([HEAD.strip(), *rows]))
     layout = CSV._replace(max_gap_s=0.1, axes_order="y-xz", time_unit="iso")
     whole = records.read_record(path, layout)
     monkeypatch.setattr(reader, "_BATCH_ROWS", 10)
     again = records.read_record(path, layout)
     assert same_bits(whole.dtheta, again.dtheta) and same_bits(whole.dv, again.dv)
-    assert whole[2:] == again[2:] and whole.filled == 4
-
-
-@pytest.mark.nightly
-def test_long_csv_record_is_read_in_little_memory(tmp_path):
-    """Bytes a sample, of which 48 are the result; the text and its lines at once took 670."""
-    values = np.random.default_rng(3).normal(size=(500_000, 3))
-    write_record(Record(values, values, 200.0), tmp_path / "long.csv", ANY_RATE)
-    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    before = process_bytes("VmRSS")
-    records.read_record(tmp_path / "long.csv", ANY_RATE)
-    assert (process_bytes("VmHWM") - before) / len(values) < 400
+    assert whole[2:] == again[2:] and whole.remarks[0].startswith("3 missing samples")
 
 
 # --- reference
@@ -300,27 +213,21 @@ SIGMAS = "sigma_e_deg,sigma_n_deg,sigma_u_deg"
 
 
 def test_reference_accepts_headings_and_record_time_column(tmp_path):
-    columns = {"stamp": [0, 1000, 2000], "pitch_deg": [1.0] * 3, "roll_deg": [2.0] * 3}
-    table = pa.table(columns | {"heading_deg": [350.0, 351.0, 352.0]})
-    pq.write_table(table, tmp_path / "r.parquet")
-    (tmp_path / "r.csv").write_bytes(b"stamp;pitch_deg;roll_deg;heading_deg\n")
-    with (tmp_path / "r.csv").open("a") as file:
-        file.writelines(f"{1000 * k};1;2;{350 + k}\n" for k in range(3))
-    for path in (tmp_path / "r.csv", tmp_path / "r.parquet"):
-        layout = CSV._replace(time_column="stamp", time_unit="ms")
-        reference = records.read_reference(path, layout)
-        np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
-        np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
-        assert_refusal(refusal_line(records.read_reference, path), f"{path}: column 'time_s'")
+    path, columns = tmp_path / "r.parquet", {"pitch_deg": [1.0] * 3, "roll_deg": [2.0] * 3}
+    columns |= {"stamp": [0, 1000, 2000], "heading_deg": [350.0, 351.0, 352.0]}
+    pq.write_table(pa.table(columns), path)
+    layout = CSV._replace(time_column="stamp", time_unit="ms")
+    reference = records.read_reference(path, layout)
+    np.testing.assert_array_equal(reference.time_s, [0, 1, 2])
+    np.testing.assert_array_equal(reference.attitude_deg[:, 2], [-350, -351, -352])
+    assert_refusal(refusal_line(records.read_reference, path), f"{path}: column 'time_s'")
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         (f"{LEVEL}\n0,1,2\n", "yaw_deg heading_deg 'time_s"),
-        (f"{LEVEL},yaw_deg,yaw_ccw_deg\n0,1,2,3,3\n", "yaw_deg yaw_ccw_deg"),
         (f"{LEVEL},yaw_deg\n0,1,2,3\n\n0,1,2,3\n", "row 4: time_s"),
-        (f"{LEVEL},yaw_deg\n0,91,2,3\n", "row 2: pitch_deg 90"),
         (f"{LEVEL},yaw_deg,sigma_e_deg\n0,1,2,3,4\n", "column 'sigma_n_deg'"),
         (f"{LEVEL},yaw_deg,{SIGMAS}\n0,1,2,3,1,-1,1\n", "row 2: sigma negative"),
     ],
@@ -336,8 +243,7 @@ def test_invalid_reference_is_refused(tmp_path, text, told):
 
 def test_real_psins_record_and_its_reference_are_read(data_dir):
     record = records.read_record(data_dir / "lasergyro_0_900.imu", records.PSINS_LAYOUT)
-    assert record.dtheta.shape == record.dv.shape == (90_000, 3)
-    assert (record.rate_hz, record.latitude_deg) == (100.0, 34.246048)
+    assert (len(record.dtheta), record.rate_hz, record.latitude_deg) == (90_000, 100.0, 34.246048)
     assert np.linalg.norm(record.dv.mean(0)) * 100 == pytest.approx(9.79548, abs=2e-5)
     reference = records.read_reference(data_dir / "lasergyro_0_900_reference.csv")
     np.testing.assert_array_equal(reference.time_s, np.arange(901.0))

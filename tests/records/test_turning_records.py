@@ -1,31 +1,26 @@
 """Records of a base that turns are told by its gyros, and keep their method."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from support.turning_logs import DEG, DEG_PER_H, EARTH_RATE, TURNS, G, Turned, turned_record
 
 from sinsjax.records.checks import StationaryValues, check_stationary
-from sinsjax.records.layout import Finding, Record, RecordLayout
+from sinsjax.records.layout import Finding, Record
 
-LAYOUT = RecordLayout("csv", gyro_unit="rad_per_s", accel_unit="m_per_s2")
 TURNED_DEG = {"one turn by 180": 180, "one turn by 90": 90, "four positions": 270}
-
-simulated = cache(turned_record)
 
 
 def found(some: Turned) -> list[Finding]:
     record = Record(some.gyro / some.rate_hz, some.accel / some.rate_hz, some.rate_hz)
     expected = StationaryValues(EARTH_RATE, 48 * DEG, G, gyro_bias_deg_per_h=10.0)
-    return check_stationary(record, (0, len(record.dv)), LAYOUT, expected)
+    return check_stationary(record, (0, len(record.dv)), expected)
 
 
 @pytest.mark.parametrize("bias_deg_per_h", [1.0, 1000.0])
 @pytest.mark.parametrize("motion", TURNS)
 def test_turned_base_is_reported_with_its_angle_and_may_find_north(motion, bias_deg_per_h):
     """The mean rate of two positions lacks Earth rate: they must not be levelled."""
-    (one,) = found(simulated(motion, gyro_bias_deg_per_h=bias_deg_per_h))
+    (one,) = found(turned_record(motion, gyro_bias_deg_per_h=bias_deg_per_h))
     assert not one.is_certain and not one.hides_north
     turned_deg = float(one.text.split("turns by ")[1].split()[0])
     if motion in TURNED_DEG and bias_deg_per_h == 1.0:

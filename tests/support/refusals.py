@@ -10,9 +10,12 @@ its colon, and the values, keys and words that stand somewhere in the rest. Its 
 
 import re
 import tomllib
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
+
+from sinsjax.errors import InputError
 
 
 class Refusal(NamedTuple):
@@ -48,6 +51,15 @@ def assert_refusal(line: str, told: str) -> None:
     """Fail unless a line is as told: a place, a colon, and words that stand somewhere after it."""
     place, _, named = told.rpartition(": ")
     assert_named(line, place, *named.split())
+
+
+def refusal_line(call: Callable[..., object], *given: Any, **more: Any) -> str:
+    """Return the single line of the InputError of a call."""
+    with pytest.raises(InputError) as caught:
+        call(*given, **more)
+    line = str(caught.value)
+    assert line.isprintable() and len(line) < 400
+    return line
 
 
 def refused(table: str) -> pytest.MarkDecorator:
