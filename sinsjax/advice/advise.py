@@ -62,16 +62,8 @@ class Advice:
 
     Examples:
         >>> advice = sinsjax.advise(imu="kvh1775", latitude_deg=48.0, motion="rocking")
-        >>> advice.heading.rms_arcmin < 2 * advice.bound_arcmin
-        True
-        >>> print(advice.choice.toml.partition("fit_accel")[0])
-        [alignment]
-        method = "gravity_fit"
-        <BLANKLINE>
-        [gravity_fit]
-        fit_gyro_bias_deg_per_h = 0.167
-        fit_gyro_arw_deg_per_sqrt_h = 0.012
-        <BLANKLINE>
+        >>> advice.choice.method, advice.dominant, round(advice.heading.rms_arcmin)
+        ('gravity_fit', 'gyro_bias', 68)
     """
 
     sheet: Sheet
@@ -81,30 +73,14 @@ class Advice:
     turns: TurnChoice | None
 
     @property
-    def name(self) -> str:
-        """Name of the sheet."""
-        return str(self.sheet.tables["study"]["name"])
-
-    @property
     def time_s(self) -> float:
         """Time that there is to align, s."""
         return self.sheet.asked.time_s
 
-    @property
-    def latitude_deg(self) -> float:
-        """Latitude, deg."""
-        return float(self.sheet.tables["earth"]["latitude_deg"])
-
     @cached_property
     def headings(self) -> tuple[Heading, ...]:
         """The heading error to expect at each time of the budget."""
-        sigmas = map(self.choice.expected_sigma, self.budget.sigma, self.budget.varying)
-        return tuple(
-            Heading(
-                float(time_s), wrapped_rms(sigma) / ARCMIN, wrapped_quantile(sigma, 0.95) / ARCMIN
-            )
-            for time_s, sigma in zip(self.budget.times_s, sigmas, strict=True)
-        )
+        return _expected_headings(self.choice, self.budget)
 
     @property
     def heading(self) -> Heading:
@@ -126,13 +102,6 @@ class Advice:
         """Rms heading error at the time asked for, arcmin, with half of the dominant source."""
         return _rms_at_the_end(scale_source(self.sheet, self.dominant, 0.5))
 
-    @cached_property
-    def surging_rms_arcmin(self) -> float:
-        """Rms heading error at the time asked for, arcmin, if the base surged as by `MOTIONS`."""
-        surge = {key: v for key, v in MOTIONS["surging"].items() if key.startswith("surge")}
-        tables = self.sheet.tables | {"motion": self.sheet.motion | surge}
-        return _rms_at_the_end(replace(self.sheet, tables=tables))
-
     @property
     def sigma(self) -> float:
         """1 sigma of the method's heading at the time asked for, rad, before it is wrapped."""
@@ -151,10 +120,8 @@ class Advice:
         The band is the one wanted, or a round one that is reached well before the end.
         """
         within = {one.time_s: one.within_95_arcmin / 60 for one in self.headings}
-        band = self.sheet.asked.wanted_deg
-        if band is None:
-            reached = within[self.time_s]
-            band = next((one for one in _BANDS_DEG if one > 1.3 * reached), _BANDS_DEG[-1])
+        wide = (one for one in _BANDS_DEG if one > 1.3 * within[self.time_s])
+        band = self.sheet.asked.wanted_deg or next(wide, _BANDS_DEG[-1])
         times = [time for time in within if time <= self.time_s]
         late = [time for time in times if within[time] > band]
         return band, min((time for time in times if time > max(late, default=0.0)), default=None)
@@ -182,19 +149,18 @@ class Advice:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers alone, as for JSON."""
-        here, (band, settled) = self.heading, self.settles
+        here, (band, settled), sheet = self.heading, self.settles, self.sheet
+        cosine = math.cos(sheet.latitude_deg * DEG)
         return {
-            "name": self.name,
-            "latitude_deg": self.latitude_deg,
-            "motion": self.sheet.motion,
+            "name": sheet.name,
+            "latitude_deg": sheet.latitude_deg,
+            "motion": sheet.motion,
             "time_s": self.time_s,
             "heading_rms_arcmin": here.rms_arcmin,
             "heading_95_arcmin": here.within_95_arcmin,
-            "heading_rms_sec_latitude_arcmin": here.rms_arcmin * math.cos(self.latitude_deg * DEG),
+            "heading_rms_sec_latitude_arcmin": here.rms_arcmin * cosine,
             "bound_arcmin": self.bound_arcmin,
-            "headings": [
-                one._asdict() for one in self.headings if one.time_s in self.sheet.times_s
-            ],
+            "headings": [one._asdict() for one in self.headings if one.time_s in sheet.times_s],
             "budget_percent": {SOURCES[key].words: 100 * part for key, part in self.shares.items()},
             "dominant": SOURCES[self.dominant].words,
             "heading_rms_with_half_of_dominant_arcmin": self.halved_rms_arcmin,
@@ -205,13 +171,13 @@ class Advice:
             "loss": self.loss,
             "turns": [one._asdict() for one in self.turns.options] if self.turns else None,
             "warnings": list(self.warnings),
-            "doubts": list(self.sheet.doubts),
+            "doubts": list(sheet.doubts),
         }
 
     def __repr__(self) -> str:
         """Return the main numbers; `sinsjax.advice.text.describe_advice` yields all of them."""
         rms = f"{self.heading.rms_arcmin:.3g} arcmin rms after {self.time_s:g} s"
-        return f"Advice for {self.name}: {rms} with {self.choice.method}"
+        return f"Advice for {self.sheet.name}: {rms} with {self.choice.method}"
 
 
 def advise(
@@ -282,31 +248,34 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
     return replace(sheet, tables=tables)
 
 
+def _expected_headings(choice: Choice, budget: Budget) -> tuple[Heading, ...]:
+    sigmas = map(choice.expected_sigma, budget.sigma, budget.varying)
+    return tuple(
+        Heading(float(time_s), wrapped_rms(sigma) / ARCMIN, wrapped_quantile(sigma, 0.95) / ARCMIN)
+        for time_s, sigma in zip(budget.times_s, sigmas, strict=True)
+    )
+
+
 def _rms_at_the_end(sheet: Sheet) -> float:
     """Return the rms heading error of a sheet at the time asked for, arcmin."""
-    choice = choose_method(sheet)
-    left_out = methods.LEFT_OUT[choice.method]
-    budget = heading_budget(sheet_problem(sheet), [sheet.asked.time_s], left_out)
-    return wrapped_rms(choice.expected_sigma(budget.sigma[0], budget.varying[0])) / ARCMIN
+    choice, problem = choose_method(sheet), sheet_problem(sheet)
+    budget = heading_budget(problem, [sheet.asked.time_s], methods.LEFT_OUT[choice.method])
+    return _expected_headings(choice, budget)[0].rms_arcmin
 
 
 def _iter_warnings(advice: Advice) -> Iterator[str]:
-    """Yield what can go wrong."""
     if advice.sigma > _NOT_FOUND:
         more = "; an IMU that is turned may find it (docs/turning.md)" if advice.turns else ""
         yield f"north is not found, for the {SOURCES[advice.dominant].words}{more}"
     elif advice.sigma > _COARSE:
         yield "beyond linear theory: 20 % more or less are possible"
-    if advice.sheet.is_turned and advice.choice.method == methods.FILTER:
-        yield (
-            f"{methods.FILTER} does not estimate gyro biases, so the turns of the base hardly help"
-            " (turn without surge, for gravity_fit)"
-        )
-    motion = advice.sheet.motion
-    angles_deg = [motion.get(f"{axis}_amplitude_deg", 0.0) for axis in ("pitch", "roll", "yaw")]
+    motion, surging = advice.sheet.motion, MOTIONS["surging"]
+    angles_deg = [motion.get(key, 0.0) for key in MOTIONS["rocking"] if "amplitude" in key]
     if np.max(np.abs(angles_deg)) > _ROTATES_DEG and not level_surge(motion.get("surge_m_per_s")):
-        surge = MOTIONS["surging"]["surge_m_per_s"]
+        moved = motion | {key: value for key, value in surging.items() if key.startswith("surge")}
+        surged = replace(advice.sheet, tables=advice.sheet.tables | {"motion": moved})
         yield (
-            f"the base is assumed to rotate without moving: a surge of {surge:g} m/s rms would make"
-            f" it {format_angle(advice.surging_rms_arcmin)} (--motion surging)"
+            f"the base is assumed to rotate without moving: a surge of"
+            f" {surging['surge_m_per_s']:g} m/s rms would make it"
+            f" {format_angle(_rms_at_the_end(surged))} (--motion surging)"
         )

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -15,7 +15,7 @@ from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import SECTION_OF, TomlTable, unknown_key_error
 from sinsjax.study.load import SHEET_TABLES, study_from_dict
-from sinsjax.study.schema import AdviseSection, SensorsSection
+from sinsjax.study.schema import AdviseSection
 from sinsjax.study.sweep import correctable_errors
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
@@ -39,36 +39,44 @@ CONSTANT_KEYS = (
 )
 """Keys of errors that stay constant; a fixed value counts as 1 sigma."""
 
-_WHITE = ("gyro_arw_deg_per_sqrt_h", "accel_vrw_ug_per_sqrt_hz")
-"""Keys of white noise, which a sheet needs."""
 
-_QUANTITIES = {
-    "instability": "instability",
-    **dict.fromkeys(("rrw", "rate_random_walk", "acceleration_random_walk"), "rrw"),
-    **dict.fromkeys(("arw", "vrw", "random_walk", "noise"), "white"),
-    **dict.fromkeys(("bias", "turn_on", "repeatability", "offset"), "bias"),
-}
-"""Quantities by their names in data sheets; the first that fits decides."""
+class _Quantity(NamedTuple):
+    """What data sheets call a quantity, and the factors from their units to that of its key."""
 
-_FACTORS: dict[str, dict[str, tuple[str, float]]] = {
-    "gyro": {
-        "rad_per_s_per_sqrt_hz": ("white", 1 / DEG_PER_SQRT_H),
-        "rad_per_sqrt_s": ("white", 1 / DEG_PER_SQRT_H),
-        "deg_per_s_per_sqrt_hz": ("white", 60.0),
-        "deg_per_h_per_sqrt_hz": ("white", 1 / 60),
-        "deg_per_sqrt_s": ("white", 60.0),
-        "rad_per_s": ("", 1 / DEG_PER_H),
-        "deg_per_s": ("", 3600.0),
-    },
-    "accel": {
-        "m_per_s2_per_sqrt_hz": ("white", 1 / micro_g()),
-        "m_per_s_per_sqrt_h": ("white", 1 / (60 * micro_g())),
-        "mg_per_sqrt_hz": ("white", 1e3),
-        "m_per_s2": ("", 1 / micro_g()),
-        "mg": ("", 1e3),
-    },
+    names: tuple[str, ...]
+    factors: Mapping[str, float]
+
+
+_BIAS = ("bias", "turn_on", "repeatability", "offset")
+_WHITE = ("arw", "vrw", "random_walk", "noise", "sqrt_")
+_RATE = {"rad_per_s": 1 / DEG_PER_H, "deg_per_s": 3600.0}
+_ACCELERATION = {"m_per_s2": 1 / micro_g(), "mg": 1e3}
+_QUANTITIES = {  # the first that fits decides
+    "gyro_instability_deg_per_h": _Quantity(("instability",), _RATE),
+    "gyro_rrw_deg_per_h_per_sqrt_h": _Quantity(("rrw", "rate_random_walk"), {}),
+    "gyro_arw_deg_per_sqrt_h": _Quantity(
+        _WHITE,
+        {
+            "rad_per_s_per_sqrt_hz": 1 / DEG_PER_SQRT_H,
+            "rad_per_sqrt_s": 1 / DEG_PER_SQRT_H,
+            "deg_per_s_per_sqrt_hz": 60.0,
+            "deg_per_h_per_sqrt_hz": 1 / 60,
+            "deg_per_sqrt_s": 60.0,
+        },
+    ),
+    "gyro_bias_deg_per_h": _Quantity(_BIAS, _RATE),
+    "accel_instability_ug": _Quantity(("instability",), _ACCELERATION),
+    "accel_rrw_ug_per_sqrt_h": _Quantity(("rrw", "acceleration_random_walk"), {}),
+    "accel_vrw_ug_per_sqrt_hz": _Quantity(
+        _WHITE,
+        {
+            "m_per_s2_per_sqrt_hz": 1 / micro_g(),
+            "m_per_s_per_sqrt_h": 1 / (60 * micro_g()),
+            "mg_per_sqrt_hz": 1e3,
+        },
+    ),
+    "accel_bias_ug": _Quantity(_BIAS, _ACCELERATION),
 }
-"""Units of data sheets by sensor: the quantity that has them, if just one, and the factor."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +84,22 @@ class Sheet:
     """An IMU, its place and motion, and what is asked.
 
     Attributes:
-        name: of the sheet.
         tables: of a study, without a method; constant errors are drawn.
         asked: what is asked.
     """
 
-    name: str
     tables: TomlTable
     asked: AdviseSection
+
+    @property
+    def name(self) -> str:
+        """Name of the sheet and of its study."""
+        return str(self.tables["study"]["name"])
+
+    @property
+    def latitude_deg(self) -> float:
+        """Latitude, deg."""
+        return float(self.tables["earth"]["latitude_deg"])
 
     @property
     def motion(self) -> dict[str, Any]:
@@ -92,10 +108,7 @@ class Sheet:
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Times to report, s, the time asked for among them.
-
-        A file of the attitude ends them, and so do turns that come later than the time asked for.
-        """
+        """Times to report, s, the time asked for among them, which ends a base that turns."""
         asked = self.asked.time_s
         usual = (time for time in TIMES_S if time < asked or not self.is_turned)
         return tuple(sorted({asked, *usual}))
@@ -107,7 +120,7 @@ class Sheet:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Values of the sheet that may be mistaken, a line each."""
+        """Values of the sheet that do not fit each other, a line each."""
         return tuple(_iter_doubts(self))
 
     def study_tables(self, sections: Mapping[str, Any], **settings: Any) -> TomlTable:
@@ -144,24 +157,21 @@ def read_sheet(
     """Read and check a sheet, see `sinsjax.advise`."""
     if (source is None) == (imu is None):
         raise InputError("give a sheet or --imu NAME, one of the two (`sinsjax advise --imu list`)")
-    if motion not in (None, *MOTIONS):
-        raise InputError(f"--motion {motion}: is none of {', '.join(MOTIONS)}")
-    data: TomlTable
+    sheets = shipped_sheets()
+    for option, value, known in (("imu", imu, sheets), ("motion", motion, MOTIONS)):
+        if value is not None and value not in known:
+            hint = suggest_closest(value, known)
+            raise InputError(f"--{option} {value}: is none of {', '.join(known)}{hint}")
     if isinstance(source, Mapping):
         name, data = "sheet", dict(source)
-    elif source is not None:
-        name, data = files.source_name(Path(source)), files.read_tables(Path(source))
     else:
-        if imu not in (sheets := shipped_sheets()):
-            text = f"is none of {', '.join(sheets)}{suggest_closest(str(imu), sheets)}"
-            raise InputError(f"--imu {imu}: {text}")
-        name, data = imu, files.read_tables(sheets[imu])
+        path = sheets[str(imu)] if source is None else Path(source)
+        name, data = imu or files.source_name(path), files.read_tables(path)
     options = {"earth.latitude_deg": latitude_deg, "advise.time_s": time_s}
     given = {key: value for key, value in options.items() if value is not None}
     try:
-        _check_names(data)
         if motion is not None:
-            data = data | {"motion": MOTIONS[motion]}
+            data |= {"motion": MOTIONS[motion]}
         data = apply_changes(apply_changes(data, given), changes or {})
         _check_names(data)
         return _complete(name, data)
@@ -171,45 +181,33 @@ def read_sheet(
         raise error.with_source(name) from None
 
 
-def _check_names(data: Mapping[str, Any]) -> None:
+def _check_names(data: TomlTable) -> None:
     """Refuse other sections than those of a sheet, and keys in the units of other makers."""
     for name, table in data.items():
         if name not in SHEET_TABLES:
-            text = (
-                "does not belong in a sheet (`sinsjax advise` chooses the method and its settings)"
-            )
+            text = "does not belong in a sheet (`sinsjax advise` chooses the method and its keys)"
             raise InputError(f"[{name}]: {text}{suggest_closest(name, SHEET_TABLES, '[{}]')}")
         if not isinstance(table, Mapping):
             raise InputError(f"[{name}]: must be a table of keys")
-    unknown = {
-        key: f"[{name}] {key}: unknown key"
+    unknown = [
+        f"[{name}] {key}: {_convert_key(key) or unknown_key_error(key, SECTION_OF)}"
         for name in ("sensors", "drawn")
         for key in data.get(name, {})
         if key not in SECTION_OF
-    }
-    hints = {key: _convert_key(key) for key in unknown}
-    if any(hints.values()):
-        raise InputError(
-            *(
-                f"{text}{hints[key] or suggest_closest(key, SECTION_OF)}"
-                for key, text in unknown.items()
-            )
-        )
+    ]
+    if unknown:
+        raise InputError(*unknown)
 
 
 def _convert_key(key: str) -> str:
-    """Return a hint at the key of a quantity, and the factor to its unit, from a data sheet's."""
+    """Return the key and the factor to use for a quantity in another maker's words and unit."""
     sensor = key.partition("_")[0]
-    units = (unit for name, unit in _FACTORS.get(sensor, {}).items() if key.endswith(name))
-    only, factor = next(units, ("", None))
-    quantity = next((found for word, found in _QUANTITIES.items() if word in key), "")
-    quantity = quantity if quantity == "rrw" else only or quantity
-    if sensor not in _FACTORS or not quantity:
-        return ""
-    names = ("arw_", "vrw_") if quantity == "white" else (f"{quantity}_",)
-    begins = tuple(f"{sensor}_{name}" for name in names)
-    known = next(known for known in SensorsSection.model_fields if known.startswith(begins))
-    return f" (did you mean {known}?{f', multiply by {factor:.6g}' if factor else ''})"
+    for known, (names, factors) in _QUANTITIES.items():
+        if known.startswith(sensor) and any(name in key for name in names):
+            fits = (factor for unit, factor in factors.items() if key.endswith(unit))
+            factor = next((f", multiply by {factor:.6g}" for factor in fits), "")
+            return f"unknown key (did you mean {known}?{factor})"
+    return ""
 
 
 def _complete(name: str, data: TomlTable) -> Sheet:
@@ -229,7 +227,7 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     if not {*motion, *drawn} & {"yaw_center_deg", "attitude_file"}:
         drawn["yaw_center_deg"] = {"uniform": [-180.0, 180.0]}
     tables = {"study": study, "earth": data["earth"], "motion": motion, "sensors": sensors}
-    sheet = Sheet(name, tables | {"drawn": drawn}, asked)
+    sheet = Sheet(tables | {"drawn": drawn}, asked)
     study_from_dict(sheet.study_tables({"alignment": {"method": "inertial"}}), name)
     for key, law in drawn.items():
         if key not in (*CONSTANT_KEYS, "yaw_center_deg"):
@@ -239,7 +237,7 @@ def _complete(name: str, data: TomlTable) -> Sheet:
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
             drawn[key] = {"normal": [0.0, rms(fixed)]}
-    for key in _WHITE:
+    for key in ("gyro_arw_deg_per_sqrt_h", "accel_vrw_ug_per_sqrt_hz"):
         if not sheet.sigma(key):
             raise InputError(f"[sensors] {key}: required, the random walk of the data sheet")
     if np.any(motion.get("vibration_deg_per_h_rms")) and np.any(motion.get("lever_arm_m")):
@@ -255,13 +253,12 @@ def _read_asked(table: Any) -> AdviseSection:
         lines, fields = [], AdviseSection.model_fields
         for one in correctable_errors(error):
             key = str(one["loc"][0])
-            unknown = unknown_key_error(key, fields)
-            lines.append(f"[advise] {key}: {explain_error(one) if key in fields else unknown}")
+            text = explain_error(one) if key in fields else unknown_key_error(key, fields)
+            lines.append(f"[advise] {key}: {text}")
         raise InputError(*lines) from None
 
 
 def _iter_doubts(sheet: Sheet) -> Iterator[str]:
-    """Yield values that do not fit each other."""
     keys = "gyro_bias_deg_per_h", "gyro_instability_deg_per_h", "gyro_arw_deg_per_sqrt_h"
     bias, drift, walk = map(sheet.sigma, keys)
     missing = [key for key in CONSTANT_KEYS[:2] if not sheet.sigma(key)]

@@ -1,7 +1,7 @@
 """Advice in one screen of text."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from sinsjax.advice.advise import Advice
 from sinsjax.advice.heading import SOURCES, format_angle, wrapped_rms
@@ -16,53 +16,45 @@ _AXES = ("pitch", "roll", "yaw")
 
 
 def describe_advice(advice: Advice) -> Iterator[str]:
-    """Yield the lines of an advice."""
-    here, cosine = advice.heading, math.cos(advice.latitude_deg * DEG)
-    place = f"{advice.latitude_deg:g} deg of latitude"
-    yield f"{advice.name}, {_name_motion(advice.sheet)} base, {advice.time_s:g} s at {place}"
+    """Yield the lines of an advice: title, facts by label, and settings as TOML."""
+    sheet = advice.sheet
+    place = f"{advice.time_s:g} s at {sheet.latitude_deg:g} deg of latitude"
+    yield f"{sheet.name}, {_name_motion(sheet)} base, {place}"
     yield ""
-    if assumed := ", ".join(_iter_motion(advice.sheet)):
-        yield _fact("motion", assumed)
-    for doubt in advice.sheet.doubts:
-        yield _fact("doubt", doubt)
-    yield _fact(
-        "heading",
-        f"{format_angle(here.rms_arcmin)} rms from true north"
-        f" ({format_angle(here.rms_arcmin * cosine)} sec L),"
-        f" 95 % within {format_angle(here.within_95_arcmin)}",
-    )
-    reported = [one for one in advice.headings if one.time_s in advice.sheet.times_s]
-    yield _row("after", [f"{one.time_s:g} s" for one in reported])
-    yield _row("rms", [format_angle(one.rms_arcmin) for one in reported])
-    yield _row("95 %", [format_angle(one.within_95_arcmin) for one in reported])
-    band, settled = advice.settles
-    when = f"from {settled:.0f} s" if settled is not None else f"not in {advice.time_s:g} s"
-    yield _fact("settles", f"95 % within {band:g} deg {when}, from any heading")
-    shares = {SOURCES[name].words: share for name, share in advice.shares.items()}
-    parts = (f"{words} {share:.0%}" for words, share in shares.items() if share >= _LEAST_SHARE)
-    yield _fact("budget", ", ".join(parts))
-    halved = f"halving it gives {format_angle(advice.halved_rms_arcmin)}"
-    dominant = f"{SOURCES[advice.dominant].words}: {halved}"
-    yield _fact("dominant", f"{dominant} instead of {format_angle(here.rms_arcmin)}")
-    yield _fact(
-        "method",
-        f"{advice.choice.method}: {advice.choice.reason}; its error is {advice.loss:.2f} times the"
-        f" information bound of linear theory, {format_angle(advice.bound_arcmin)}",
-    )
+    yield from (f"  {label:<9} {text}" for label, text in _iter_facts(advice) if text)
     yield ""
     yield from (f"    {line}".rstrip() for line in advice.choice.toml.splitlines())
-    yield ""
-    yield _fact("turning", _describe_turns(advice))
-    for warning in advice.warnings:
-        yield _fact("warning", warning)
 
 
-def _fact(name: str, text: str) -> str:
-    return f"  {name:<9} {text}"
+def _iter_facts(advice: Advice) -> Iterator[tuple[str, str]]:
+    """Yield labels and texts; an empty text is not shown."""
+    sheet, here = advice.sheet, advice.heading
+    rms, cosine = format_angle(here.rms_arcmin), math.cos(sheet.latitude_deg * DEG)
+    yield "motion", ", ".join(_iter_motion(sheet))
+    yield from (("doubt", doubt) for doubt in sheet.doubts)
+    level, widest = map(format_angle, (here.rms_arcmin * cosine, here.within_95_arcmin))
+    yield "heading", f"{rms} rms from true north ({level} sec L), 95 % within {widest}"
+    reported = [one for one in advice.headings if one.time_s in sheet.times_s]
+    yield "after", _align(f"{one.time_s:g} s" for one in reported)
+    yield "rms", _align(format_angle(one.rms_arcmin) for one in reported)
+    yield "95 %", _align(format_angle(one.within_95_arcmin) for one in reported)
+    band, settled = advice.settles
+    when = f"from {settled:.0f} s" if settled is not None else f"not in {advice.time_s:g} s"
+    yield "settles", f"95 % within {band:g} deg {when}, from any heading"
+    shares = {SOURCES[name].words: share for name, share in advice.shares.items()}
+    parts = (f"{words} {share:.0%}" for words, share in shares.items() if share >= _LEAST_SHARE)
+    yield "budget", ", ".join(parts)
+    halved = format_angle(advice.halved_rms_arcmin)
+    yield "dominant", f"{next(iter(shares))}: halving it gives {halved} instead of {rms}"
+    bound = f"the information bound of linear theory, {format_angle(advice.bound_arcmin)}"
+    loss = f"its error is {advice.loss:.2f} times {bound}"
+    yield "method", f"{advice.choice.method}: {advice.choice.reason}; {loss}"
+    yield "turning", _describe_turns(advice)
+    yield from (("warning", warning) for warning in advice.warnings)
 
 
-def _row(name: str, cells: list[str]) -> str:
-    return _fact(name, " ".join(f"{cell:>9}" for cell in cells))
+def _align(cells: Iterable[str]) -> str:
+    return " ".join(f"{cell:>9}" for cell in cells)
 
 
 def _name_motion(sheet: Sheet) -> str:
@@ -88,18 +80,16 @@ def _iter_motion(sheet: Sheet) -> Iterator[str]:
 
 
 def _describe_turns(advice: Advice) -> str:
-    turns = advice.turns
-    if turns is None:
+    if advice.turns is None:
         return "the sheet turns the base, and the numbers above are with it"
-    parked, best = turns.options[0].sigma_arcmin, turns.best
-    if best.sigma_arcmin > _PAYS * parked:
+    (parked, *turned), best = advice.turns.options, advice.turns.best
+    if best.sigma_arcmin > _PAYS * parked.sigma_arcmin:
         return "hardly pays: the noise and not the biases decide, or there is no time for it"
-    errors = {"no turn": format_angle(advice.heading.rms_arcmin)}
-    for one in turns.options[1:]:
-        name = one.name
-        if name == "half turn":
-            name = f"one 180 deg turn at {one.motion['turn_times_s'][0]:g} s"
-        if one.sigma_arcmin <= parked and one.name in ("half turn", best.name):
-            errors[name] = format_angle(wrapped_rms(one.sigma_arcmin * ARCMIN) / ARCMIN)
-    numbers = ", ".join(f"{name} {error}" for name, error in errors.items())
-    return f"on a {_name_motion(advice.sheet)} base: {numbers}"
+    parts = [f"no turn {format_angle(advice.heading.rms_arcmin)}"]
+    for one in turned:
+        if one.sigma_arcmin <= parked.sigma_arcmin and one.name in ("half turn", best.name):
+            times_s = one.motion["turn_times_s"]
+            half = f"one 180 deg turn at {times_s[0]:g} s"
+            name = half if one.name == "half turn" else one.name
+            parts.append(f"{name} {format_angle(wrapped_rms(one.sigma_arcmin * ARCMIN) / ARCMIN)}")
+    return f"on a {_name_motion(advice.sheet)} base: {', '.join(parts)}"

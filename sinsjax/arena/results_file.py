@@ -25,43 +25,31 @@ from sinsjax.units import DEG
 _ANGLES = ["pitch_deg", "roll_deg", "yaw_deg"]
 _SIGMAS = [f"sigma_{name}" for name in _ANGLES]
 _QUATERNION = ["q_w", "q_x", "q_y", "q_z"]
-_NUMBERS = ["run_id", "time_s", *_ANGLES, *_QUATERNION, *_SIGMAS]
-_TYPES = dict.fromkeys(_NUMBERS, pa.float64()) | {"study": pa.string()}
+_TYPES = {"study": pa.string()} | dict.fromkeys(
+    ["run_id", "time_s", *_ANGLES, *_QUATERNION, *_SIGMAS], pa.float64()
+)
 _LENGTH_TOLERANCE = 0.01
 _LARGEST_DEG = 1e6
 
 
 class GivenResults(NamedTuple):
-    """Rows of a results file, by run and time.
+    """Rows of a results file.
 
     Attributes:
         run: (rows,) place of the run in `ProgramRuns.run_id`, flat.
         time_s: (rows,).
-        values: (rows, 3) pitch, roll and yaw, rad, or (rows, 4) quaternions; in the frame.
+        attitude: from b to n, leaves (rows,).
         sigma: (rows, 3) 1 sigma of pitch, roll and yaw, rad; NaN if not given.
-        frame: see `arena.frames`.
+        frame: of the file, see `arena.frames`.
+        has_quaternions: whether the file has quaternions, not angles.
     """
 
     run: NDArray
     time_s: NDArray
-    values: NDArray
+    attitude: Quat
     sigma: NDArray
     frame: str
-
-    @property
-    def has_quaternions(self) -> bool:
-        """Return whether attitudes are quaternions."""
-        return self.values.shape[1] == len(_QUATERNION)
-
-    @property
-    def attitude(self) -> Quat:
-        """The attitudes from b to n, leaves (rows,)."""
-        return (from_quaternion if self.has_quaternions else from_angles)(self.values, self.frame)
-
-    def select(self, rows: NDArray) -> "GivenResults":
-        """Return some of the rows."""
-        run, time_s, values, sigma = (column[rows] for column in self[:4])
-        return GivenResults(run, time_s, values, sigma, self.frame)
+    has_quaternions: bool
 
 
 def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
@@ -73,7 +61,7 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
             number.
     """
     table, first_row = _read_table(path)
-    names = table.column_names
+    names, digest = table.column_names, fingerprint(runs.source)
 
     def refuse(rows: NDArray, text: str) -> None:
         if rows.any():
@@ -86,11 +74,11 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
             refuse(~np.isfinite(column), f"column '{name}': {text}")
         return numbers
 
-    attitude = _QUATERNION if "q_w" in names else _ANGLES
+    has_quaternions = "q_w" in names
+    attitude = _QUATERNION if has_quaternions else _ANGLES
     if missing := [n for n in ("study", "run_id", "time_s", *attitude) if n not in names]:
-        text = f"lacks {', '.join(missing)} in its first line (README.txt in the export lists them)"
+        text = f"lacks {', '.join(missing)} in its first line (as in initial.csv; see README.txt)"
         raise InputError(f"{path}: {text}")
-    digest = fingerprint(runs.source)
     found = [str(text) for text in table["study"].unique().to_pylist()]
     if found != [digest]:
         shown = shorten(to_one_line(", ".join(found) or "none"), 40)
@@ -101,8 +89,7 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
     refuse(run < 0, "no run of the export has this run_id (see initial.csv)")
     time_s, end_s, half = read("time_s")[:, 0], runs.end_s, 0.5 / runs.source.rate_hz
     refuse((time_s < 0) | (time_s > end_s + half), f"time_s is beyond its run, 0 to {end_s:.12g} s")
-    order = np.lexsort((time_s, run))
-    repeated = np.zeros(len(run), bool)
+    order, repeated = np.lexsort((time_s, run)), np.zeros(len(run), bool)
     repeated[order[1:]] = (np.diff(run[order]) == 0) & (np.diff(time_s[order]) < half)
     refuse(repeated, "repeats its run_id and time_s")
     sigma = np.full((len(run), 3), np.nan)
@@ -111,14 +98,15 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
             sigma[:, i] = read(name)[:, 0] * DEG
             refuse(sigma[:, i] <= 0, f"{name} must be above 0")
     values = read(*attitude)
-    if attitude == _QUATERNION:
+    if has_quaternions:
         off = np.abs(np.linalg.norm(values, axis=-1) - 1) > _LENGTH_TOLERANCE
         refuse(off, f"{', '.join(_QUATERNION)} is no unit quaternion")
+        q = from_quaternion(values, frame)
     else:
         large = (np.abs(values) > _LARGEST_DEG).any(axis=-1)
         refuse(large, f"an angle is beyond {_LARGEST_DEG:g} deg")
-        values = values * DEG
-    return GivenResults(run, time_s, values, sigma, frame).select(order)
+        q = from_angles(values * DEG, frame)
+    return GivenResults(run, time_s, q, sigma, frame, has_quaternions)
 
 
 def _read_table(path: Path) -> tuple[pa.Table, int]:
@@ -126,15 +114,15 @@ def _read_table(path: Path) -> tuple[pa.Table, int]:
     try:
         content = read_regular_file(path.resolve())
         if content[:1] in (b"#", b"%"):
-            text = "must name its columns in the first line, 'study' for the digest among them"
-            raise InputError(f"{path}: {text} (README.txt in the export lists them)")
-        source = io.BytesIO(content)
+            text = "must name its columns in the first line (the digest goes in a column 'study')"
+            raise InputError(f"{path}: {text}")
         if content.startswith(b"PAR1"):
-            table, first_row = pq.read_table(source), 1
+            table, first_row = pq.read_table(io.BytesIO(content)), 1
         else:
             serial = pa.csv.ReadOptions(use_threads=False)  # for messages with the row's number
             convert = pa.csv.ConvertOptions(column_types=_TYPES)
-            table, first_row = pa.csv.read_csv(source, serial, convert_options=convert), 2
+            table = pa.csv.read_csv(io.BytesIO(content), serial, convert_options=convert)
+            first_row = 2
         known = [name for name in table.column_names if name in _TYPES]
         if repeated := [name for name in known if known.count(name) > 1]:
             raise InputError(f"{path}: repeats column '{repeated[0]}' (keep one)")

@@ -184,8 +184,9 @@ def _renumber(runs: ProgramRuns, own: pa.Table) -> pa.Table:
 def _doubts(runs: ProgramRuns, given: GivenResults, own: pa.Table) -> Iterator[str]:
     """Yield what the file lacks, and another convention that it seems to have."""
     rows = np.bincount(given.run, minlength=runs.run_id.size)
-    at_end = given.select(np.flatnonzero(given.time_s > runs.end_s - 0.5 / runs.source.rate_hz))
-    if len(missing := np.delete(runs.run_id.ravel(), at_end.run)):
+    at_end = np.flatnonzero(given.time_s > runs.end_s - 0.5 / runs.source.rate_hz)
+    ended = given.run[at_end]
+    if len(missing := np.delete(runs.run_id.ravel(), ended)):
         yield (
             f"{len(missing):,} of {len(rows):,} runs have no row at their end, {runs.end_s:.12g} s,"
             f" and count as failures: run_id {shorten(', '.join(map(str, missing)), 60)}"
@@ -195,9 +196,9 @@ def _doubts(runs: ProgramRuns, given: GivenResults, own: pa.Table) -> Iterator[s
             f"{format_count(single, 'run')} with one row only: settled at the end of a run is all"
             " that is known of the settling time"
         )
-    if len(at_end.run):
+    if len(ended):
         truth, usual = _true_attitudes_at_end(runs), _usual_misalignments(runs, own)
-        if reading := suspect(at_end, Quat(*truth[:, at_end.run]), usual[at_end.run]):
+        if reading := suspect(given, at_end, Quat(*truth[:, ended]), usual[ended]):
             yield reading
 
 

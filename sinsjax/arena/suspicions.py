@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.arena.frames import from_angles, from_quaternion, to_angles
+from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
 from sinsjax.arena.results_file import GivenResults
 from sinsjax.maths.rotations import misalignment
 from sinsjax.types import Quat
@@ -41,19 +41,24 @@ _QUATERNIONS = {
 _misalignments = jax.jit(jax.vmap(misalignment))
 
 
-def suspect(given: GivenResults, q_true: Quat, usual: NDArray) -> str | None:
+def suspect(given: GivenResults, rows: NDArray, q_true: Quat, usual: NDArray) -> str | None:
     """Return what the results seem to be, in one sentence; None if nothing is suspected.
 
     Args:
-        given: last row of each run.
+        given: results.
+        rows: last row of each run.
         q_true: true attitudes there.
         usual: (runs, 3) misalignment of sinsjax's methods there, rad; not used if one is NaN.
     """
     expected = [np.zeros_like(usual), *([usual] if np.isfinite(usual).all() else [])]
-    found = []
-    for words, attitude in _iter_readings(given):
+    as_given, found = Quat(*(part[rows] for part in given.attitude)), []
+
+    def distance(attitude: Quat, phi: NDArray) -> float:
+        return _norm(np.stack(_misalignments(q_true, attitude), axis=-1) - phi)
+
+    for words, attitude in _iter_readings(as_given, given.frame, given.has_quaternions):
         for phi, least in zip(expected, (_LEAST, 0.0), strict=False):
-            error, now = (_distance(q_true, q, phi) for q in (given.attitude, attitude))
+            error, now = distance(as_given, phi), distance(attitude, phi)
             good = max(DEG, 3 * _norm(phi))
             if error > least and now <= min(_BETTER * error, max(good, _MUCH_BETTER * error)):
                 found.append((now / error, words, now / ARCMIN, error / ARCMIN))
@@ -64,24 +69,20 @@ def suspect(given: GivenResults, q_true: Quat, usual: NDArray) -> str | None:
     return f"{words}? Read so, {median} is {now:.3g} arcmin instead of {error:.3g}"
 
 
-def _distance(q_true: Quat, attitude: Quat, phi: NDArray) -> float:
-    """Return the median distance of misalignments from those that are expected, rad."""
-    return _norm(np.stack(_misalignments(q_true, attitude), axis=-1) - phi)
-
-
 def _norm(phi: NDArray) -> float:
     return float(np.median(np.linalg.norm(phi, axis=-1)))
 
 
-def _iter_readings(given: GivenResults) -> Iterator[tuple[str, Quat]]:
-    """Yield other readings of results: what they suppose, in words, and attitudes."""
-    if given.has_quaternions:
+def _iter_readings(as_given: Quat, frame: str, has_quaternions: bool) -> Iterator[tuple[str, Quat]]:
+    """Yield other readings of attitudes: what they suppose, in words, and attitudes."""
+    angles = to_angles(as_given, frame)
+    if has_quaternions:
         for words, (order, sign) in _QUATERNIONS.items():
-            values = given.values[:, order] * [1, sign, sign, sign]
-            yield words, from_quaternion(values, given.frame)
+            values = to_quaternion(as_given, frame)[:, order] * [1, sign, sign, sign]
+            yield words, from_quaternion(values, frame)
     else:
-        yield "are the angles in radians", from_angles(given.values / DEG, given.frame)
+        yield "are the angles in radians", from_angles(angles / DEG, frame)
     for words, (sign, turn) in _YAWS.items():
-        changed = to_angles(given.attitude, given.frame)
-        changed[:, 2] = sign * (changed[:, 2] - turn * DEG)
-        yield words, from_angles(changed, given.frame)
+        pitch, roll, yaw = angles.T
+        yaw = sign * (yaw - turn * DEG)
+        yield words, from_angles(np.stack([pitch, roll, yaw], axis=-1), frame)

@@ -131,12 +131,6 @@ def test_turned_sheet_is_advised_as_it_turns():
     assert "the sheet turns the base" in "\n".join(describe_advice(turned))
 
 
-def test_surging_base_that_turns_is_warned_of():
-    motion = MOTIONS["surging"] | {"turn_times_s": [140.5], "turn_angles_deg": [180.0]}
-    advice = sinsjax.advise(FOG | {"motion": motion})
-    assert advice.choice.method == "kalman_surge" and "turns" in advice.warnings[0]
-
-
 def test_band_is_reached_when_95_percent_are_within_it():
     advice = advise()
     band, time_s = advice.settles
