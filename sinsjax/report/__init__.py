@@ -49,10 +49,9 @@ def print_reports(
         if html is not None:
             require_writable(html, "--html")
         drawn: list[tuple[Report, Mapping[str, bytes]]] = []
-        names: dict[str, None] = {}
         for directory in directories:
             with_tables = full or html is not None
-            source, report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
+            report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
             images = report.draw()
             make_folder(directory / FIGURES_FOLDER)
             for name, content in images.items():
@@ -61,11 +60,10 @@ def print_reports(
             remove_other_figures(directory, [f"{name}.png" for name in images])
             print_report(report, console, directory, full=full)
             drawn.append((report, images))
-            names[source.study.name] = None
         if html is not None:
             make_folder(html.parent)
             with atomic_write(html) as file:
-                file.write(to_html(", ".join(names), drawn).encode())
+                file.write(to_html(drawn).encode())
     except InputError:
         raise
     except Exception as error:
@@ -75,8 +73,8 @@ def print_reports(
         raise InputError(text) from error
 
 
-def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, Report]:
-    """The results in a directory, and their report."""
+def _read(directory: Path, *, with_tables: bool, quiet: bool) -> Report:
+    """The report on a directory, which ends with what success means and where its runs are from."""
     source: Results
     if is_tuning(directory):
         from sinsjax.report import tuning  # late: it needs JAX
@@ -87,12 +85,10 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, 
     else:
         source = Results.read(directory)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
-    return source, report._replace(
-        footer=report.footer or source.sample_size_text,
-        definition=describe_success_criterion(source.study),
-        origin=f"{source.manifest.config or f'study.toml of {source.study.name}'}; computed by"
-        f" sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}",
-    )
+    config = source.manifest.config or f"study.toml of {source.study.name}"
+    origin = f"{config}; computed by sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}"
+    blocks = [*report.blocks, describe_success_criterion(source.study), origin]
+    return report._replace(blocks=blocks, footer=report.footer or source.sample_size_text)
 
 
 def print_report(report: Report, console: Console, directory: Path, *, full: bool = False) -> None:
@@ -105,7 +101,6 @@ def print_report(report: Report, console: Console, directory: Path, *, full: boo
     if not full:
         return
     console.print()
-    print_line(console, report.definition, wrap=True)
     for block in report.blocks:
         if isinstance(block, str):
             print_line(console, block, wrap=True)

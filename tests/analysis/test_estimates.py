@@ -14,7 +14,6 @@ from scipy import optimize, stats
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, estimates, summaries
-from sinsjax.analysis.formats import format_time_difference
 
 NEVER, NAN = math.inf, math.nan
 DIFFERENCES = [
@@ -25,25 +24,18 @@ DIFFERENCES = [
 
 
 @pytest.mark.parametrize(
-    ("estimate", "text", "as_difference"),
+    ("estimate", "text"),
     [
-        (Estimate(12.31, 11.88, 12.84, 5), "12 [12, 13]", "12 [12, 13]"),
-        (
-            Estimate(NEVER, 300.0, NEVER, 5),
-            "never [300, never]",
-            "it never settles [300, it never settles]",
-        ),
-        (Estimate(NEVER, NEVER, NEVER, 5), "never", "it never settles"),
-        (Estimate(-NEVER, -NEVER, 0.0, 5), "-never [-never, 0]", "the first never settles"),
-        (Estimate(1.0, NAN, 2.0, 9), "1 [few draws, 2]", "1 [few draws, 2]"),
-        (Estimate(1.0, NAN, NAN, 1), "1", "1"),
-        (Estimate(NAN, -NEVER, 0.0, 5), "unknown [-never, 0]", "neither settles"),
-        (analysis.UNKNOWN, "unknown", "unknown"),
+        (Estimate(12.31, 11.88, 12.84, 5), "12 [12, 13]"),
+        (Estimate(NEVER, 300.0, NEVER, 5), "never [300, never]"),
+        (Estimate(NEVER, NEVER, NEVER, 5), "never"),
+        (Estimate(1.0, NAN, 2.0, 9), "1 [few draws, 2]"),
+        (Estimate(1.0, NAN, NAN, 1), "1"),
+        (analysis.UNKNOWN, "unknown"),
     ],
 )
-def test_estimates_are_printed_with_interval_and_words(estimate, text, as_difference):
+def test_estimates_are_printed_with_interval_and_words(estimate, text):
     assert analysis.format_estimate(estimate, digits=0) == text
-    assert format_time_difference(estimate) == as_difference
 
 
 def test_docstring_examples_run():

@@ -61,8 +61,7 @@ def whole_report(text: str) -> Report:
     picture = Picture("fig", text, Figure())
     picture.figure.suptitle(text)
     table = Table(text, [text], [[text]], text)
-    blocks = [text, table, picture]
-    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
+    return Report(text, [Fact(text, text)], None, [text, table, picture])
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -93,14 +92,14 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     monkeypatch.setenv("COLUMNS", "200")
     printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
     report.print_report(whole, printed, tmp_path, full=True)
-    for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
+    for text in (printed.file.getvalue(), to_html([(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
-        assert text.count(r"part\x1b") >= 9
+        assert text.count(r"part\x1b") >= 8
 
 
 def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
     nasty = " ".join(NASTY)
-    text = to_html("<i>& so", [(whole_report(nasty), {"fig": PNG})])
+    text = to_html([(whole_report(nasty), {"fig": PNG})])
     assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
     seen: list[str] = []
     attributes: list[tuple[str, str | None]] = []
@@ -115,10 +114,10 @@ def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
             words.append(data)
 
     Reader(convert_charrefs=True).feed(text)
-    assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")} == {1}
+    assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h2", "img")} == {1}
     assert not {"b", "a", "i"} & {*seen}
     shown = "".join(words)
-    assert shown.count(nasty) == 11 and "<i>& so" in shown
+    assert shown.count(nasty) == 10
     (source,) = (value for name, value in attributes if name in ("src", "href") and value)
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
     assert ("alt", nasty) in attributes
@@ -127,8 +126,7 @@ def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
 def test_html_page_of_results_has_all_tables_and_figures_without_full(results: Path) -> None:
     page = results.parent / "page.html"
     printed = report_text(results, html=page, full=False)
-    for title in ("Heading error from true north", "Every variant", "Against "):
-        assert title in page.read_text() and title not in printed
+    assert "Every variant" in page.read_text() and "Every variant" not in printed
     figures = len(list((results / "figures").glob("*.png")))
     assert page.read_text().count("data:image/png;base64,") == figures > 0
 
