@@ -195,14 +195,13 @@ def test_methods_without_heading_or_covariance_are_reported_next_to_a_filter(tmp
 # --- stopped and unfinished studies -------------------------------------------------------------
 
 
-def test_stopped_study_reports_reason_for_stopping(tmp_path):
+def test_stopped_study_reports_its_draws(tmp_path):
     rule = {"statistic": "success_rate", "half_width": 0.9}
     study = small_study(study={"draws": 100}, stop_when=rule)
     source = Results.read(
         store_results(tmp_path, study, synthetic_summary(study).slice(0, 64), state="complete")
     )
-    why = facts_of(build_verdict(source))["Stopped"]
-    assert why == "every half-width of success_rate is at most 0.9"
+    assert facts_of(build_verdict(source))["Draws"] == "64 of at most 100"
 
 
 def test_unfinished_report_warns_with_share_of_runs(tmp_path):
