@@ -92,19 +92,6 @@ def test_duplicate_variants_count_once_in_verdict_tables_and_shares():
 # --- figures ------------------------------------------------------------------------------------
 
 
-def test_zipped_axes_are_plotted_as_one_axis():
-    level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
-    study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
-    settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
-    pictures = build_report(results_of(study, settle_10_s=settle), with_tables=False).pictures
-    axes = next(one for one in pictures if one.name == "settling_time").figure.axes[0]
-    assert (axes.get_ylabel(), axes.get_xlabel()) == (
-        "initial level error about east (deg)",
-        "initial heading error (deg)",
-    )
-    np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
-
-
 def test_list_valued_axis_is_plotted_as_categories():
     study = small_study(study={"draws": 4}, axes={"reset_times_s": [[], [0.5], [0.5, 1.0]]})
     pictures = build_report(results_of(study), with_tables=False).pictures
