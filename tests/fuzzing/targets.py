@@ -3,40 +3,24 @@
 import contextlib
 import re
 import signal
-import time
 import tomllib
-import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hypothesis import strategies as st
-from support.memory import process_bytes
 
-import sinsjax
-from fuzzing import manifests, records, studies
-from fuzzing.edits import HiddenValue
+from fuzzing import records, studies
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution import forecast, prepare, store
-from sinsjax.execution.directory import check_available, read_manifest
-from sinsjax.execution.results import Results, read_curves, read_summary
+from sinsjax.execution import forecast, prepare
 from sinsjax.execution.tables import TableBuilder
-from sinsjax.execution.tasks import Job
 from sinsjax.messages import CONTROL
 from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_from_dict, study_to_toml
 from sinsjax.study.study import Study
-from sinsjax.tuning import history
 
-MAX_S = 2.0
-"""Longest time of a case, s."""
-
-MAX_BYTES = 500e6
-"""Largest memory of a case, bytes."""
-
-_PACKAGE = Path(sinsjax.__file__).parent
 _LONGEST_LINE = 2000
 _MAX_VARIANTS, _MAX_MEMORY = 500, 1e9
 """Number and bytes, beyond which a study is resolved no further."""
@@ -47,13 +31,7 @@ class BrokenCase(AssertionError):
 
 
 class Target(NamedTuple):
-    """A reader of user input.
-
-    Attributes:
-        name: name of the reader.
-        cases: its input.
-        check: function that reads a case and raises an error if it misbehaves.
-    """
+    """A reader of user input: its cases, and what raises an error if it misbehaves at one."""
 
     name: str
     cases: st.SearchStrategy[Any]
@@ -62,15 +40,8 @@ class Target(NamedTuple):
 
 def make_targets(folder: Path) -> list[Target]:
     """Return all targets, which write into a folder."""
-    stored = folder / "stored"
-    files = manifests.write_results(stored)
     return [
         Target("studies", studies.study_files(), lambda case: check_study(folder / "s.toml", case)),
-        Target(
-            "manifests",
-            manifests.manifest_cases(HiddenValue(files)),
-            lambda case: check_directory(stored, files, case),
-        ),
         Target("records", records.record_cases(), lambda case: check_record(folder, case)),
     ]
 
@@ -89,16 +60,6 @@ def limit_time(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, previous_handler)
-
-
-def error_signature(error: BaseException) -> str:
-    """Return the signature of an error: its kind and where it was raised."""
-    cause = error.__cause__ or error
-    frames = traceback.extract_tb(cause.__traceback__)
-    frames = [frame for frame in frames if Path(frame.filename).is_relative_to(_PACKAGE)]
-    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
-    message = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, BrokenCase) else ""
-    return f"{type(error).__name__} {message} at {place}"
 
 
 def check_error_lines(error: InputError, *names: object) -> str:
@@ -163,36 +124,6 @@ def check_resolution(study: Study) -> None:
         raise
 
 
-def check_directory(directory: Path, files: dict[str, bytes], case: manifests.Case) -> None:
-    """Read a results directory as reports, reruns and resumed sweeps do."""
-    for name, content in case.files.items():
-        (directory / name).unlink() if content is None else (directory / name).write_bytes(content)
-    study, run_ids = manifests.STUDY, [0, 1]
-    expected = forecast.forecast_sweep(study)
-    questions: list[Callable[[], Any]] = [
-        lambda: read_manifest(directory),
-        lambda: read_summary(directory),
-        lambda: read_summary(directory, ["run_id", "status"], run_ids=run_ids),
-        lambda: read_curves(directory, run_ids),
-        lambda: read_summary(directory).num_rows,
-        lambda: check_available(directory, overwrite=False, resume=True),
-        lambda: check_available(directory, overwrite=True, resume=False),
-        lambda: store.continue_job(Job(study, directory=directory)),
-        lambda: history.is_tuning(directory),
-        lambda: Results.read(directory),
-        lambda: forecast.check_disk(directory, expected),
-    ]
-    try:
-        for question in questions:
-            try:
-                question()
-            except InputError as error:
-                check_error_lines(error, directory)
-    finally:
-        for name in case.files:
-            (directory / name).write_bytes(files[name])
-
-
 def check_record(folder: Path, case: records.Case) -> None:
     """Describe a record as `init record` does; read it and its reference as `align` does."""
     suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
@@ -216,25 +147,3 @@ def check_record(folder: Path, case: records.Case) -> None:
             check_error_lines(InputError(line))
     except InputError as error:
         check_error_lines(error, record, reference, study.name)
-
-
-def measure_case(check: Callable[[Any], None], case: Any) -> None:
-    """Check a case, with its time and memory.
-
-    Raises:
-        Broken: it took too long, or too much memory.
-    """
-    _reset_peak_memory()
-    before, since = process_bytes("VmRSS"), time.process_time()
-    with limit_time(10 * MAX_S):
-        check(case)
-    taken, grown = time.process_time() - since, process_bytes("VmHWM") - before
-    if taken > MAX_S:
-        raise BrokenCase(f"takes {taken:.1f} s of a core")
-    if grown > MAX_BYTES:
-        raise BrokenCase(f"takes {grown / 1e6:.0f} MB")
-
-
-def _reset_peak_memory() -> None:
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -52,6 +52,8 @@ import sinsjax
 assert state() == before
 heavy = {"jax", "jaxlib", "matplotlib", "numpy", "optax", "pyarrow", "pydantic", "scipy"}
 assert not heavy & set(sys.modules)
+import sinsjax.records, sinsjax.columns, sinsjax.value_types
+assert not {"jax", "jaxlib", "optax"} & set(sys.modules)
 """
     )
     assert done.stderr == ""
