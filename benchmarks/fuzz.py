@@ -27,7 +27,7 @@ import sinsjax
 
 sys.path.insert(0, str(common.ROOT / "tests"))
 
-from fuzzing.targets import BrokenCase, Target, limit_time, make_targets  # noqa: E402
+from fuzzing.targets import Target, limit_time, make_targets  # noqa: E402
 from support.memory import process_bytes  # noqa: E402
 
 ROUND = 250
@@ -46,12 +46,12 @@ def error_signature(error: BaseException) -> str:
     frames = traceback.extract_tb(cause.__traceback__)
     frames = [frame for frame in frames if Path(frame.filename).is_relative_to(package)]
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
-    message = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, BrokenCase) else ""
+    message = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, AssertionError) else ""
     return f"{type(error).__name__} {message} at {place}"
 
 
 def measure_case(check: Callable[[Any], None], case: Any) -> None:
-    """Check a case; raise `BrokenCase` if it takes too long, or too much memory."""
+    """Check a case; raise an error if it takes too long, or too much memory."""
     with suppress(OSError):  # resets the peak
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     before, since = process_bytes("VmRSS"), time.process_time()
@@ -59,7 +59,7 @@ def measure_case(check: Callable[[Any], None], case: Any) -> None:
         check(case)
     taken, grown = time.process_time() - since, process_bytes("VmHWM") - before
     if taken > MAX_S or grown > MAX_BYTES:
-        raise BrokenCase(f"takes {taken:.1f} s of a core and {grown / 1e6:.0f} MB")
+        raise AssertionError(f"takes {taken:.1f} s of a core and {grown / 1e6:.0f} MB")
 
 
 def hunt_one_round(target: Target, seed: int, until: float, known: set[str]) -> int:

@@ -63,15 +63,13 @@ def value_strategy(place: tuple[str, str]) -> st.SearchStrategy[Any]:
 
 def _draw_law(draw: st.DrawFn, place: tuple[str, str]) -> Any:
     """Draw a distribution of a drawn key, or a range of a tuned one."""
-    kinds = ["uniform", "normal", "values", "fixed", "candidates", "low", "list"]
-    kind = draw(st.sampled_from(kinds))
+    kind = draw(st.sampled_from(["uniform", "normal", "values", "fixed", "candidates", "low"]))
     number = st.floats(-10, 400) | st.sampled_from([0, 1, 1e12, -1e12, 1e300])
     low, high = sorted([draw(number), draw(number)])
     if kind in ("uniform", "normal"):
         return {kind: [low, high]}
-    if kind in ("low", "list"):
-        ends = {"low": low, "high": high}
-        return [ends] * draw(st.integers(0, 2)) if kind == "list" else ends | {"scale": "log"}
+    if kind == "low":
+        return {"low": low, "high": high, "scale": "log"}
     return {kind: draw(value_strategy(place) | st.lists(value_strategy(place), max_size=4))}
 
 

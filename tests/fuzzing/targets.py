@@ -24,10 +24,7 @@ from sinsjax.study.study import Study
 _LONGEST_LINE = 2000
 _MAX_VARIANTS, _MAX_MEMORY = 500, 1e9
 """Number and bytes, beyond which a study is resolved no further."""
-
-
-class BrokenCase(AssertionError):
-    """A case that is neither accepted nor properly refused."""
+_WHOLE_FILE_ERRORS = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
 
 
 class Target(NamedTuple):
@@ -51,7 +48,7 @@ def limit_time(seconds: float) -> Iterator[None]:
     """Fail a block that takes too long; in the main thread only."""
 
     def raise_late(*_: Any) -> None:
-        raise BrokenCase(f"takes more than {seconds:g} s")
+        raise AssertionError(f"takes more than {seconds:g} s")
 
     previous_handler = signal.signal(signal.SIGALRM, raise_late)
     signal.setitimer(signal.ITIMER_REAL, seconds)
@@ -62,88 +59,64 @@ def limit_time(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, previous_handler)
 
 
-def check_error_lines(error: InputError, *names: object) -> str:
-    """Return the first line of a refusal after checking the form of all lines.
-
-    Args:
-        error: the refusal.
-        names: possible beginnings of the lines.
-    """
-    for line in error.lines:
-        if len(line) > _LONGEST_LINE:
-            raise BrokenCase(f"a line of {len(line)} characters: {line[:200]}...") from error
-        if CONTROL.search(line):
-            raise BrokenCase(f"control characters: {line[:200]!r}") from error
-        if names and not line.startswith(tuple(map(str, names))):
-            raise BrokenCase(f"names none of {names}: {line[:200]}") from error
-    return error.lines[0]
-
-
-_WHOLE_FILE_ERRORS = ("is not TOML", "is not UTF-8", "is nested too deeply", "cannot be read")
-"""Errors about a whole file."""
+@contextlib.contextmanager
+def proper_refusals(*names: object) -> Iterator[None]:
+    """Suppress refusals in short printable lines that begin with one of the names."""
+    try:
+        yield
+    except InputError as error:
+        for line in error.lines:
+            assert len(line) <= _LONGEST_LINE, f"{len(line)} characters: {line[:200]}..."
+            assert not CONTROL.search(line), f"control characters: {line[:200]!r}"
+            assert line.startswith(tuple(map(str, names)) or ""), f"names none of {names}: {line}"
 
 
 def check_study(path: Path, content: bytes) -> None:
     """Load a study and resolve it as `run` does before compilation."""
     path.write_bytes(content)
-    try:
-        study = load_study(path)
-    except InputError as error:
-        line = check_error_lines(error, path)
-        message = line.removeprefix(f"{path}: ")
-        if not message.startswith(_WHOLE_FILE_ERRORS) and not re.search(r"\[.*\]", message):
-            raise BrokenCase(f"names no key: {message}") from error
-        return
-    resolved_text = study_to_toml(study)
-    path.write_text(resolved_text, encoding="utf-8")
-    try:
-        if fingerprint(load_study(path)) != fingerprint(study):
-            raise BrokenCase("its resolved study is another one")
-    except InputError as error:
-        raise BrokenCase(f"its resolved study is refused: {error}") from error
-    with contextlib.suppress(InputError):
-        check_resolution(study)
+    study = None
+    with proper_refusals(path):
+        try:
+            study = load_study(path)
+        except InputError as error:
+            message = error.lines[0].removeprefix(f"{path}: ")
+            assert message.startswith(_WHOLE_FILE_ERRORS) or re.search(r"\[.*\]", message), message
+            raise
+    if study is not None:
+        path.write_text(study_to_toml(study), encoding="utf-8")
+        assert fingerprint(load_study(path)) == fingerprint(study), "resolved, it is another study"
+        with proper_refusals():
+            resolve(study)
 
 
-def check_resolution(study: Study) -> None:
-    """Check the resolution of a study before compilation; refusals are one line."""
-    try:
-        if study.study.rate_hz:
-            forecast_of = forecast.forecast_tuning if study.tune else forecast.forecast_sweep
-            expected = forecast_of(study)
-            expected.describe(2)
-            if study.n_variants > _MAX_VARIANTS or expected.memory > _MAX_MEMORY:
-                return
-        if not study.is_recorded:
-            job = prepare.prepare_job(study)
-            assert all("\n" not in line for line in (*job.warnings, *job.notes))
-            Scenario(job.study)
-            TableBuilder(job.study)
-    except InputError as error:
-        check_error_lines(error)
-        raise
+def resolve(study: Study) -> None:
+    if study.study.rate_hz:
+        forecast_of = forecast.forecast_tuning if study.tune else forecast.forecast_sweep
+        expected = forecast_of(study)
+        expected.describe(2)
+        if study.n_variants > _MAX_VARIANTS or expected.memory > _MAX_MEMORY:
+            return
+    if not study.is_recorded:
+        job = prepare.prepare_job(study)
+        assert all("\n" not in line for line in (*job.warnings, *job.notes))
+        Scenario(job.study)
+        TableBuilder(job.study)
 
 
 def check_record(folder: Path, case: records.Case) -> None:
     """Describe a record as `init record` does; read it and its reference as `align` does."""
     suffix = ".parquet" if case.study["record"].get("format") == "parquet" else ".csv"
-    record, reference = folder / f"r{suffix}", folder / "reference.csv"
+    record, reference = folder / f"r{suffix}", None
     record.write_bytes(case.record)
     if case.reference is not None:
+        reference = folder / "reference.csv"
         reference.write_bytes(case.reference)
-    try:
+    with proper_refusals(record):
         tomllib.loads(make_study_text(record, folder / "its.toml"))
-    except InputError as error:
-        check_error_lines(error, record)
-    try:
+    study = None
+    with proper_refusals("align: "):
         study = study_from_dict(case.study, "align")
-    except InputError as error:
-        check_error_lines(error, "align: ")
-        return
-    try:
-        given = None if case.reference is None else reference
-        job = prepare.prepare_job(study, None, record, given)
-        for line in (*job.warnings, *job.notes):
-            check_error_lines(InputError(line))
-    except InputError as error:
-        check_error_lines(error, record, reference, study.name)
+    if study is not None:
+        with proper_refusals(record, *([reference] if reference else []), study.name):
+            job = prepare.prepare_job(study, None, record, reference)
+            assert all("\n" not in line for line in (*job.warnings, *job.notes))

@@ -144,9 +144,7 @@ def test_heading_error_table_shows_rms_and_quantile_per_time():
     size, sign = np.linspace(200.0, 400.0, 64), np.tile([1.0, -1.0], 32)
     study = small_study(study={"draws": 64, "report_times_s": [3]})
     errors = {"phi_u_arcmin": sign * size, "phi_u_at_3_arcmin": 2 * sign * size}
-    table = report.monte_carlo.heading_error_table(
-        results_of(study, all_columns=True, **errors), [], "Heading error"
-    )
+    table = report.monte_carlo.heading_error_table(results_of(study, **errors), [], "Heading error")
     rms, q90 = np.sqrt(np.mean(size**2)), np.sort(size)[57]
     for row, at, factor in zip(table.rows, ("3 s", "the end"), (2, 1), strict=True):
         assert row[:2] == ["64", at] and row[2].startswith(f"{factor * rms:.0f} [")
@@ -198,7 +196,7 @@ def test_drawn_unmodelled_biases_explain_high_nees(method, explains):
     runs = {"floor_arcmin": -12.0, "phi_u_arcmin": 13.5, "sigma_u_arcmin": 5.0, "nees": 1.8e4}
     columns = {name: np.full(8, number) for name, number in runs.items()}
     biases = [[0.0, 0.3, -0.7512]] * 8
-    source = results_of(study, all_columns=True, gyro_bias_deg_per_h=biases, **columns)
+    source = results_of(study, gyro_bias_deg_per_h=biases, **columns)
     text = " ".join(block for block in consistency_blocks(source) if isinstance(block, str))
     for part in (
         "A NEES of 3 cannot be expected here",

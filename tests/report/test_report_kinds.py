@@ -66,7 +66,7 @@ def test_drawn_numbers_have_a_table_of_bins_and_a_figure_if_they_act(tmp_path: P
     columns = {"phi_u0_deg": phi, "yaw_center_deg": yaw, "accel_bias_ug": [[1.0, 2.0, 3.0]] * 120}
     columns["settle_10_truth_s"] = np.round(phi) + 20.0
     columns |= {"settle_10_s": columns["settle_10_truth_s"], "phi_u_arcmin": np.ones(120)}
-    summary = synthetic_summary(study, all_columns=True, **columns)
+    summary = synthetic_summary(study, **columns)
     found = monte_carlo.build_report(Results(study, None, tables={"summary": summary}))
     table = tables_of(found)["Over phi_u0_deg, drawn"]  # a vector has no order
     assert table.header[:3] == ["phi_u0_deg", "p0_yaw_deg", "runs"]

@@ -1,13 +1,15 @@
 """Small studies for the tests: a swinging base with the papers' sensors."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
-from sinsjax.records import Record, Reference
+from sinsjax.records import Record, Reference, write_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
@@ -113,6 +115,15 @@ def add_true_reference(record: Record) -> StoredRecord:
     """Return a record of six seconds of `BASE` with its true attitude as reference."""
     time_s = np.arange(0, 6.01, 0.01)
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
+
+
+def write_swing_record(folder: Path) -> None:
+    """Write a simulated record of `BASE`, swing.imu, and its true attitude, true.csv."""
+    stored = add_true_reference(simulated_record(small_study()))
+    write_psins(stored.record, folder / "swing.imu")
+    rows = np.column_stack([np.arange(0, 6.01, 0.01), swing_deg(np.arange(0, 6.01, 0.01))])
+    header = "time_s,pitch_deg,roll_deg,yaw_deg"
+    np.savetxt(folder / "true.csv", rows, delimiter=",", header=header, comments="")
 
 
 DISTURBANCES: dict[str, dict[str, Any]] = {
