@@ -12,8 +12,7 @@ import pyarrow as pa
 import pytest
 import tomli_w
 from support.commands import Command
-from support.stored_results import store_results
-from support.studies import small_study, small_tables, swing_deg, write_swing_record
+from support.studies import small_tables, swing_deg, write_swing_record
 from support.sweep_directories import read_files_and_times
 
 from sinsjax.errors import StudyInterrupted
@@ -137,17 +136,6 @@ def test_unwritable_output_is_refused_in_one_line(sinsjax: Command) -> None:
         code, _, error = sinsjax("sweep", write_study(), "-o", out)
         assert code == 2 and error.splitlines()[-1].startswith(f"error: {out}")
     assert Path("file").read_text() == "in the way"
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
-def test_results_directory_whose_name_is_not_utf8_is_refused_before_any_run(
-    sinsjax: Command,
-) -> None:
-    out = Path(os.fsdecode(b"o\xff"))
-    store_results(Path("out"), small_study(), pa.table({"run_id": [0]})).rename(out)
-    for words in (("tune", "tune_condition5", "-o"), ("report",), ("rerun", "--run-id", 0)):
-        code, _, error = sinsjax(*words, out)
-        assert code == 2 and error.startswith(r"error: o\udcff: results need")
 
 
 # --- where output goes, and how a command ends ---------------------------------------------------

@@ -190,10 +190,3 @@ def test_keys_command_explains_key_and_section(
     assert code == 0 and told.count("\n") == 2
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6
-
-
-def test_copy_of_a_shipped_study_names_what_the_user_has(sinsjax: Command) -> None:
-    assert sinsjax("init", "paper1_resets", "-o", "mine.toml")[0] == 0
-    text = Path("mine.toml").read_text()
-    assert "sinsjax run mine.toml" in text and "see paper1_readings and" in text
-    assert "configs/" not in text.partition("\n")[2]

@@ -9,9 +9,8 @@ from sinsjax.engine.batch import map_in_threads
 from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
-from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
-from support.studies import BASE, small_study
+from support.studies import small_study
 
 CHUNK_RUNS = 128
 CHUNKS = 12
@@ -54,7 +53,9 @@ STUDIES: dict[str, dict[str, Any]] = {
     },
     "drawn": {
         "study": SHORT | {"draws": 150},
-        "alignment": {"phi_e0_deg": 1.0},
+        "motion": {"yaw_center_deg": None},
+        "sensors": {"gyro_bias_deg_per_h": None},
+        "alignment": {"phi_e0_deg": 1.0, "phi_n0_deg": None, "phi_u0_deg": None},
         "drawn": {
             "sampling": "sobol",
             "phi_u0_deg": {"uniform": [-10, 10]},
@@ -70,14 +71,8 @@ STUDIES: dict[str, dict[str, Any]] = {
 
 def make_study(name: str, draws: int | None = None) -> Study:
     """Return one of `STUDIES`, optionally with another number of draws."""
-    data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
-    for section, table in STUDIES[name].items():
-        data[section] = data.get(section, {}) | table
-    for section in ("motion", "sensors", "alignment"):
-        data[section] = {k: v for k, v in data[section].items() if k not in data.get("drawn", {})}
-    if draws is not None:
-        data["study"]["draws"] = draws
-    return study_from_dict(data)
+    study = small_study(**STUDIES[name])
+    return study if draws is None else study.replace({"study.draws": draws})
 
 
 def read_parts(directory: Path) -> dict[str, bytes]:
