@@ -209,7 +209,7 @@ def expect(free: Runs, runs: Mapping[str, pa.Table], page: Page) -> None:
     settle_truth = ~np.isnan(numeric_column(runs[RESET], "settle_10_truth_s"))
     *without, cured = (np.mean(numeric_column(one, "sigma_u_arcmin")) for one in runs.values())
     page.print_numbers(
-        settling=[percent(analysis.proportion(k, free.draws)) for k in (free.draws, 0)],
+        settling=[percent(analysis.share([settles] * free.draws)) for settles in (True, False)],
         floor=f"{runs['1']['floor_arcmin'][0].as_py():.1f} arcmin",
         settling_from_truth=percent(analysis.share(settle_truth)),
         sigma_at_the_end=f"{cured:.1f}, without resets {min(without):.1f} to {max(without):.1f}",

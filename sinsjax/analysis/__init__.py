@@ -6,23 +6,18 @@ summary, using `tables`. `grids` lays runs out over the axes of a study. `format
 """
 
 from sinsjax.analysis.estimates import (
-    CONFIDENCE,
     UNKNOWN,
     Estimate,
-    chi2_mean_band,
     cluster_ids,
-    has_independent_runs,
     mean,
     mean_difference,
-    proportion,
     proportion_difference,
     quantile,
     quantile_difference,
     rms,
     share,
-    std,
 )
-from sinsjax.analysis.formats import FEW_DRAWS, format_difference, format_estimate, format_number
+from sinsjax.analysis.formats import FEW_DRAWS, format_estimate, format_number
 from sinsjax.analysis.summaries import (
     NEES_FREEDOM,
     Estimates,
@@ -30,36 +25,29 @@ from sinsjax.analysis.summaries import (
     estimate_groups,
     summarise,
 )
-from sinsjax.analysis.tables import group_rows, has_truth, numeric_column, pair_by_draw, status_mask
+from sinsjax.analysis.tables import group_rows, numeric_column, pair_by_draw, status_mask
 
 __all__ = [
-    "CONFIDENCE",
     "FEW_DRAWS",
     "NEES_FREEDOM",
     "UNKNOWN",
     "Estimate",
     "Estimates",
-    "has_independent_runs",
-    "chi2_mean_band",
     "cluster_ids",
     "compare_with_baseline",
-    "mean_difference",
     "estimate_groups",
-    "format_difference",
     "format_estimate",
     "format_number",
     "group_rows",
-    "status_mask",
-    "has_truth",
     "mean",
+    "mean_difference",
     "numeric_column",
     "pair_by_draw",
-    "proportion",
     "proportion_difference",
     "quantile",
     "quantile_difference",
     "rms",
     "share",
-    "std",
+    "status_mask",
     "summarise",
 ]

@@ -5,8 +5,8 @@ further draw, whose share is 0 for a lower bound and 1 for an upper bound. The b
 and 97.5 % quantiles of the weighted share (Gaffke 2005, Three test statistics for a nonparametric
 one-sided hypothesis on the mean of a nonnegative variable; Learned-Miller and Thomas 2020,
 arXiv:1905.06208). With one run per draw they are those of Clopper and Pearson, and no distribution
-is known that they cover less often than 95 %. Both decrease with each additional failure. If the
-numbers of runs differ, the weighted share is the ratio of the weighted sums, as is the estimate.
+is known that they cover less often than 95 %. If the numbers of runs differ, the weighted share is
+the ratio of the weighted sums, as is the estimate.
 """
 
 import math
@@ -43,12 +43,9 @@ def quantile_bounds(
 
     The lower one is the smallest value up to which the share of runs may reach q, the upper one the
     smallest value up to which it must exceed q, by the bounds of the mean share. The further draw
-    has no share of 0 or 1 here: ranked by value, each of its runs exceeds the extreme of its rank
-    over the draws by the range of that rank. With a share of 0 or 1 the spread between
-    variants would count: of eight variants that differ by far more than the draws, the 90 %
-    quantile of 16 draws would be bounded by the next variant or not at all. If all runs of a draw
-    are equal, and with one run per draw, the further draw is beyond all values, which makes the
-    bounds binomial.
+    has no share of 0 or 1 here, with which the spread between variants would count: ranked by
+    value, each of its runs exceeds the extreme of its rank over the draws by the range of that
+    rank.
 
     Args:
         values: shape (n,); infinite for never.
@@ -104,13 +101,11 @@ def _weighted_share_quantile(hits: NDArray, runs: NDArray, tail: float) -> float
     if shares.size == 2 and np.ptp(runs) == 0:
         few, many = draws
         return float(shares[0] + np.ptp(shares) * special.betaincinv(many, few, tail))
-    found = optimize.brentq(
-        lambda share: _probability_below(share, hits, runs) - tail,
-        shares[0],
-        hits.sum() / runs.sum(),
-        xtol=1e-9,
-    )
-    return float(found)
+
+    def excess(share: float) -> float:
+        return _probability_below(share, hits, runs) - tail
+
+    return float(optimize.brentq(excess, shares[0], hits.sum() / runs.sum(), xtol=1e-9))
 
 
 def _probability_below(share: float, hits: NDArray, runs: NDArray) -> float:

@@ -1,26 +1,16 @@
 """Statistics of some runs, and differences between two sets of runs, with 95 % intervals.
 
 Nothing is omitted silently: a run that never settled counts as an infinite settling time, and an
-`Estimate` states the number of values used. The intervals:
+`Estimate` states the number of values used. The intervals of shares and quantiles are those of
+`sinsjax.analysis.bounds`, of means Student's t corrected for skewness, of root mean squares
+Student's t on a logarithmic scale. Their coverage is in ``docs/results.md``.
 
-* shares: Clopper and Pearson's, extended to several runs per draw in `sinsjax.analysis.bounds`;
-* quantiles: two of the values, by inverting the interval of the share below a value;
-* means: Student's t, corrected for skewness;
-* standard deviations and root mean squares: on a logarithmic scale, see `_root_interval`; for
-  normal values chi-square.
-
-Their coverage is in ``docs/results.md``, measured by a nightly test in ``tests/analysis``.
-
-The runs of a draw share its noise, and all runs on a record share its sensor biases, and its
-samples where their spans overlap, so they are not independent. All functions take the cluster of
-each value, see `cluster_ids`, and count clusters instead of values. An interval holds for other
-draws of the same variants: the spread between variants is not a sampling error. One cluster has no
-interval, since the spread between clusters is unknown. An end of an interval is also NaN if there
-are too few values to bound it. All functions raise `ValueError` without values, if lengths differ,
-and if a share q of a quantile is not between 0 and 1.
-
-Most of the noise of a draw cancels in a paired difference: its interval is much narrower than the
-two separate intervals suggest.
+The runs of a draw share its noise, and all runs on a record share its sensor biases, so they are
+not independent. All functions take the cluster of each value, see `cluster_ids`, and count clusters
+instead of values. An interval holds for other draws of the same variants: the spread between
+variants is not a sampling error. One cluster has no interval, and an end of an interval is NaN if
+there are too few values to bound it. All functions raise `ValueError` without values, if lengths
+differ, and if a share q of a quantile is not between 0 and 1.
 """
 
 import math
@@ -42,7 +32,7 @@ TAIL = (1 - CONFIDENCE) / 2
 CLUSTER_COLUMNS = ("draw_id", "start_s")
 """Columns of the summary that identify clusters."""
 
-_MIN_CLUSTERS = 5  # fewest clusters that bound a standard deviation or a root mean square
+_MIN_CLUSTERS = 5  # fewest clusters that bound a root mean square
 _UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root_interval`
 _BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
 _SYMMETRIC = 1e-6
@@ -85,48 +75,23 @@ def cluster_ids(table: pa.Table) -> NDArray | None:
     return ids
 
 
-def has_independent_runs(table: pa.Table) -> bool:
-    """Return whether no two runs of a table share a cluster, so that runs are independent."""
-    ids = cluster_ids(table)
-    return ids is None or np.unique(ids).size == ids.size
-
-
 # --- shares and quantiles -----------------------------------------------------------------------
-
-
-@lru_cache(maxsize=4096)
-def proportion(k: int, n: int) -> Estimate:
-    """The share k/n of independent runs with the interval of Clopper and Pearson.
-
-    Args:
-        k: number of runs that have the property.
-        n: number of runs.
-
-    Raises:
-        ValueError: n is below 1, or k outside 0..n.
-
-    Example:
-        >>> analysis.format_estimate(analysis.proportion(16, 16), digits=2)
-        '1.00 [0.79, 1.00]'
-    """
-    if n < 1 or not 0 <= k <= n:
-        raise ValueError(f"a share needs 0 <= k <= n and n >= 1, got k = {k}, n = {n}")
-    low = float(special.betaincinv(k, n - k + 1, TAIL)) if k else 0.0
-    high = float(special.betaincinv(k + 1, n - k, 1 - TAIL)) if k < n else 1.0
-    return Estimate(k / n, low, high, n)
 
 
 def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The share of the values that are true, with an interval that holds for any dependence.
 
-    The draws count, whatever the number and dependence of their runs: see
-    `sinsjax.analysis.bounds`. For independent runs the interval equals that of `proportion`.
+    For independent runs the interval is that of Clopper and Pearson, else that of
+    `sinsjax.analysis.bounds`.
 
     Args:
         flags: shape (n,), bool.
         cluster: shape (n,), integer cluster of each value; None if each is its own.
 
     Example:
+        >>> analysis.format_estimate(analysis.share([True] * 16), digits=2)
+        '1.00 [0.79, 1.00]'
+
         Three draws of two runs each, of which one run fails:
 
         >>> found = analysis.share([True, True, True, True, True, False], [0, 0, 1, 1, 2, 2])
@@ -139,22 +104,25 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     if runs.size < 2 and cluster is not None:  # a draw or a record alone, be it of one run
         return UNKNOWN._replace(value=value, n=data.size)
     if runs.size == data.size:
-        return proportion(round(value * data.size), data.size)
+        return Estimate(value, *_clopper_pearson(int(data.sum()), data.size), data.size)
     return Estimate(value, *share_bounds(np.bincount(place, data), runs, TAIL), data.size)
+
+
+@lru_cache(maxsize=4096)
+def _clopper_pearson(k: int, n: int) -> tuple[float, float]:
+    """The ends of the interval of the share k/n of independent runs."""
+    low = float(special.betaincinv(k, n - k + 1, TAIL)) if k else 0.0
+    return low, float(special.betaincinv(k + 1, n - k, 1 - TAIL)) if k < n else 1.0
 
 
 def quantile(values: ArrayLike, q: float = 0.5, cluster: ArrayLike | None = None) -> Estimate:
     """The smallest value that at least a share q of the values does not exceed.
 
     NaN (null in a table: never settled) counts as infinite, so the result is infinite if fewer than
-    a share q ever settled. It is always one of the values, never interpolated.
-
-    The interval is distribution-free. For independent values the number below the quantile is
-    binomial, and each end is an order statistic exceeded by it with at most 2.5 % probability
-    (Conover 1999, section 3.2). With clusters an end is the last value whose share of runs below
-    it, by draw, agrees with q: see `sinsjax.analysis.bounds.quantile_bounds`. An end is NaN if
-    there are too few draws for such a bound: 16 draws of one run each do not bound a 90 % quantile
-    from above.
+    a share q ever settled. It is always one of the values, never interpolated. So are the ends of
+    its interval, which is distribution-free: order statistics for independent values (Conover 1999,
+    section 3.2), else those of `sinsjax.analysis.bounds.quantile_bounds`. An end is NaN if there
+    are too few draws: 16 draws of one run each do not bound a 90 % quantile from above.
 
     Args:
         values: shape (n,), any unit.
@@ -196,19 +164,11 @@ def _binomial_rank_bounds(n: int, q: float) -> tuple[int, int]:
     return int(np.sum(below <= TAIL)), int(np.sum(1 - below > TAIL)) + 1
 
 
-# --- means and spreads --------------------------------------------------------------------------
+# --- means --------------------------------------------------------------------------------------
 
 
 class _ClusteredMean(NamedTuple):
-    """The mean of clustered values.
-
-    Attributes:
-        mean: mean of the values.
-        standard_error: its standard error, NaN for one cluster.
-        n: number of clusters.
-        skewness: of the clusters' sums, with the usual correction for small samples; 0 for fewer
-            than three clusters.
-    """
+    """A mean, its standard error (NaN for one cluster), the number and skewness of clusters."""
 
     mean: float
     standard_error: float
@@ -273,29 +233,6 @@ def mean(
     return Estimate(found.mean, low, high, data.size)
 
 
-def std(values: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
-    """The sample standard deviation (n - 1) of the finite values.
-
-    Non-finite values are omitted; ``n`` is the number used. Fewer than two values have no standard
-    deviation, fewer than five no interval. With clusters, the variance about
-    the mean and that of the mean over the clusters are added; for independent values that is the
-    same. For runs of mixed outcome use quantiles instead.
-
-    Args:
-        values: shape (m,), any unit.
-        cluster: shape (m,), integer cluster of each value; None if each is its own.
-    """
-    data, place = _finite_values(values, cluster)
-    if data.size < 2:
-        return UNKNOWN._replace(n=data.size)
-    squares = (data - np.mean(data)) ** 2
-    of_mean = _ClusteredMean.from_values(data, place)
-    value = float(np.std(data, ddof=1))
-    if of_mean.n > 1:  # the variance of the mean is missing in that about the mean
-        value = math.sqrt(np.mean(squares) + of_mean.standard_error**2)
-    return Estimate(value, *_root_interval(value, squares, place), data.size)
-
-
 def rms(
     values: ArrayLike, cluster: ArrayLike | None = None, *, max_magnitude: float = math.inf
 ) -> Estimate:
@@ -311,49 +248,28 @@ def rms(
     data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
+    low, high = _root_interval(_ClusteredMean.from_values(data**2, place))
     value = math.sqrt(np.mean(data**2))
-    ends = np.minimum(_root_interval(value, data**2, place), max_magnitude)
-    return Estimate(value, float(ends[0]), float(ends[1]), data.size)
+    return Estimate(value, min(low, max_magnitude), min(high, max_magnitude), data.size)
 
 
-def _root_interval(value: float, squares: NDArray, place: NDArray) -> tuple[float, float]:
+def _root_interval(squares: _ClusteredMean) -> tuple[float, float]:
     """The ends of the interval of the root of a mean square.
 
     Student's t on a logarithmic scale, with Bonett's two corrections (2006, Computational
-    Statistics and Data Analysis 50, 775) for the correlation of the estimate with its error: both
-    grow by the relative variance of the mean square, which is itself estimated with two degrees of
-    freedom less. The upper reach is multiplied by `_UPPER`, because a sample seldom shows the tails
-    of a heavy-tailed distribution; `tests/analysis` requires that value for
-    Student's t with 5 degrees of freedom.
+    Statistics and Data Analysis 50, 775) for the correlation of the estimate with its error. A
+    sample seldom shows the tails of a distribution, hence `_UPPER`, which Student's t with 5
+    degrees of freedom requires.
     """
-    found = _ClusteredMean.from_values(squares, place)
-    if value == 0.0 and found.n > 1:
-        return value, value
-    if found.n < _MIN_CLUSTERS:
+    if squares.mean == 0.0 and squares.n > 1:
+        return 0.0, 0.0
+    if squares.n < _MIN_CLUSTERS:
         return math.nan, math.nan
-    variance = found.n / (found.n - 2) * (found.standard_error / found.mean) ** 2
-    reach = found.reach() * math.sqrt(variance) * (1 + variance)
+    variance = squares.n / (squares.n - 2) * (squares.standard_error / squares.mean) ** 2
+    reach = squares.reach() * math.sqrt(variance) * (1 + variance)
+    value = math.sqrt(squares.mean)
     low, high = (value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))
     return low, high
-
-
-def chi2_mean_band(degrees_of_freedom: int, n: int) -> tuple[float, float]:
-    """The 95 % band of the mean of n chi-square values.
-
-    The mean NEES of a consistent filter over independent runs lies in it in 95 of 100 studies
-    (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
-
-    Args:
-        degrees_of_freedom: degrees of freedom of one value, at least 1.
-        n: number of values; 0 gives NaN.
-
-    Returns:
-        Lower and upper end.
-    """
-    if n < 1:
-        return math.nan, math.nan
-    low, high = 2 * special.gammaincinv(degrees_of_freedom * n / 2, [TAIL, 1 - TAIL]) / n
-    return float(low), float(high)
 
 
 # --- paired differences -------------------------------------------------------------------------
@@ -379,8 +295,7 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
 
     NaN counts as infinite as in `sinsjax.analysis.quantile`. Infinite minus finite is
     infinite. Infinite minus infinite is NaN as a value and 0 as an end of the interval, since two
-    runs that never settle do not differ. Whole pairs are resampled, which preserves their common
-    noise.
+    runs that never settle do not differ.
 
     Args:
         a: shape (n,), any unit.
@@ -405,34 +320,33 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     """The share of a minus that of b over pairs on the same noise, with Newcombe's interval.
 
     It combines Wilson's intervals of the two shares, corrected for the correlation of the pairs
-    (Newcombe 1998, Statistics in Medicine 17, 2635, method 10). Unlike Student's t and Wald's
-    interval it has a width even if no pair differs, and stays within -1 and 1.
+    (Newcombe 1998, Statistics in Medicine 17, 2635, method 10). Unlike Student's t it has a width
+    even if no pair differs, and stays within -1 and 1.
 
     Args:
         a: shape (n,), bool: whether a run has the property.
         b: shape (n,), the same draws in the same order.
     """
     first, second = (x.astype(bool) for x in _paired_arrays(a, b))
-    n = first.size
-    share_a, share_b = (_wilson_interval(int(np.count_nonzero(x)), n) for x in (first, second))
+    (one, one_low, one_high), (two, two_low, two_high) = map(_wilson_interval, (first, second))
     correlation = _paired_correlation(first, second)
-    difference = share_a.value - share_b.value
 
     def half_width(x: float, y: float) -> float:
         return math.sqrt(max(x * x - 2 * correlation * x * y + y * y, 0.0))
 
-    low = difference - half_width(share_a.value - share_a.low, share_b.high - share_b.value)
-    high = difference + half_width(share_a.high - share_a.value, share_b.value - share_b.low)
-    return Estimate(difference, low, high, n)
+    low = one - two - half_width(one - one_low, two_high - two)
+    high = one - two + half_width(one_high - one, two - two_low)
+    return Estimate(one - two, low, high, first.size)
 
 
-def _wilson_interval(k: int, n: int) -> Estimate:
-    """The share k/n with Wilson's score interval."""
-    share, z = k / n, float(special.ndtri(1 - TAIL))
+def _wilson_interval(flags: NDArray) -> tuple[float, float, float]:
+    """A share, and the ends of Wilson's score interval."""
+    k, n = int(np.count_nonzero(flags)), flags.size
+    part, z = k / n, float(special.ndtri(1 - TAIL))
     centre = (k + z * z / 2) / (n + z * z)
-    half = z / (n + z * z) * math.sqrt(n * share * (1 - share) + z * z / 4)
+    half = z / (n + z * z) * math.sqrt(n * part * (1 - part) + z * z / 4)
     # At 0 and 1 an end of the interval equals the share, apart from rounding.
-    return Estimate(share, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
+    return part, centre - half if k else 0.0, centre + half if k < n else 1.0
 
 
 def _paired_correlation(a: NDArray, b: NDArray) -> float:

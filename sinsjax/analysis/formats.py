@@ -35,35 +35,19 @@ def format_estimate(
     return f"{'unknown' if math.isnan(estimate.value) else value} {interval}{unit}".rstrip()
 
 
-def format_number(value: float | None, digits: int = 1, factor: float = 1.0) -> str:
-    """A number as text, perhaps times a factor; None and NaN are unknown."""
-    return "unknown" if value is None or value != value else f"{factor * value:.{digits}f}"
+def format_number(value: float | None, digits: int = 1) -> str:
+    """A number as text; None and NaN are unknown."""
+    return "unknown" if value is None or value != value else f"{value:.{digits}f}"
 
 
-def format_difference(
-    estimate: Estimate,
-    unit: str = "",
-    digits: int = 1,
-    sides: tuple[str, str] = ("one side", "one side"),
-) -> str:
-    """A difference of two settling times as text, with words for runs that never settle.
-
-    Examples: ``12.3 [11.9, 12.8] s``, ``one side never settles``, ``neither settles``.
-
-    Args:
-        estimate: from `sinsjax.analysis.quantile_difference`; NaN with n > 0 means that
-            neither settles.
-        unit: unit, written after the interval.
-        digits: decimals.
-        sides: names of the two sides, the minuend first.
-    """
-    value, low, high, n = estimate
+def format_time_difference(seconds: Estimate) -> str:
+    """A difference of two settling times in whole seconds, or which of the two never settles."""
+    value, low, high, n = seconds
     if math.isnan(value):
         return "neither settles" if n else "unknown"
     if math.isinf(value) and {low, high} <= {value, 0.0}:  # an end is 0 if neither settles
-        low = high = value
-    words = (f"{side} never settles" for side in sides)
-    return format_estimate(Estimate(value, low, high, n), unit, digits, *words)
+        seconds = Estimate(value, value, value, n)
+    return format_estimate(seconds, "", 0, "it never settles", "the first never settles")
 
 
 def format_heading_error(error_arcmin: Estimate) -> str:

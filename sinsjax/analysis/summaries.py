@@ -1,21 +1,20 @@
 """Tables of statistics: the long table `Estimates`, of groups of runs or of their differences."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from sinsjax.analysis.estimates import (
     CLUSTER_COLUMNS,
     UNKNOWN,
     Estimate,
-    chi2_mean_band,
     cluster_ids,
-    has_independent_runs,
     mean,
     mean_difference,
     proportion_difference,
@@ -23,16 +22,13 @@ from sinsjax.analysis.estimates import (
     quantile_difference,
     rms,
     share,
-    std,
 )
 from sinsjax.analysis.tables import (
-    encode_values,
+    column_values,
     group_rows,
     has_truth,
-    numeric_column,
-    paired_row_indices,
+    pair_by_draw,
     require_column,
-    select_runs_with_floor,
     status_mask,
     to_arrow_table,
     to_key_list,
@@ -41,89 +37,68 @@ from sinsjax.errors import InputError
 
 NEES_FREEDOM = 3
 """Degrees of freedom of ``nees``: three angles."""
-_YAW, _FLOOR, _AT = "phi_u_mean_arcmin", "floor_arcmin", "phi_u_at_"
+_YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
 _MOST = 180 * 60.0  # arcmin, of a heading error
-_OK = "status=ok"
+_FLAGS = {"ok_floor": "success_floor_rate", "ok_truth": "success_truth_rate"}
 REQUIRED_COLUMNS = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor", _YAW, _FLOOR)
 """Columns that `summarise` needs in addition to keys and the columns of its statistics."""
 
-_COUNT, _INTERVAL = ("",), ("", "_low", "_high")
-_MEAN = (*_INTERVAL, "_n")  # a mean omits non-finite values, so its number of values is given
-
 
 class _Statistic(NamedTuple):
-    """One statistic of a group of runs, or of the difference of two.
-
-    Attributes:
-        columns: columns that it uses; ``status=ok`` for the runs with this status.
-        estimate: function of these columns as numbers, and of the cluster of each run.
-        suffixes: suffixes of its columns in a wide table.
-        needs_truth: whether it requires a truth.
-        needs_floor: whether it uses only runs that have a bias floor.
-    """
+    """A statistic: a function of some columns of the runs, perhaps of those with a floor only."""
 
     columns: tuple[str, ...]
-    estimate: Callable[..., Estimate]
-    suffixes: tuple[str, ...] = _INTERVAL
+    estimate: Callable[..., Estimate | int]
     needs_truth: bool = False
     needs_floor: bool = False
 
 
 class Estimates(NamedTuple):
-    """The long table of statistics, one `Estimate` per group and statistic.
+    """The long table of statistics, one `Estimate` or count per group and statistic.
 
     Attributes:
-        groups: key values and estimates by the name of the statistic, group by group. ``n``,
-            ``nonfinite``, ``no_floor`` and ``never_settled_B`` are counts without interval, and
-            ``X_chi2`` is the band of a mean of chi-square values.
-        suffixes: suffixes of the columns of each statistic in a wide table.
+        groups: key values and statistics by name, group by group; ``n``, ``nonfinite``,
+            ``no_floor`` and ``never_settled_B`` are counts, None if unknown.
     """
 
-    groups: list[tuple[dict[str, Any], dict[str, Estimate]]]
-    suffixes: dict[str, tuple[str, ...]]
+    groups: list[tuple[dict[str, Any], dict[str, Any]]]
 
     def pivot(self, schema: pa.Schema) -> pa.Table:
         """One row per group: its keys with their types in a schema, counts whole, NaN as null."""
-        columns: dict[str, list] = {}
-        types: dict[str, pa.DataType] = {}
-        for keys, found in self.groups:
-            for key, value in keys.items():
-                columns.setdefault(key, []).append(value)
-                types[key] = schema.field(key).type
-            for name, estimate in found.items():
-                cells = dict(zip(_MEAN, estimate, strict=True))
-                for end in self.suffixes[name]:
-                    columns.setdefault(name + end, []).append(cells[end])
-                    whole = end == "_n" or self.suffixes[name] == _COUNT
-                    types[name + end] = pa.int64() if whole else pa.float64()
-        arrays = [pa.array(cells, types[name], from_pandas=True) for name, cells in columns.items()]
-        return pa.table(arrays, names=list(columns))
+        (first, statistics), columns = self.groups[0], {}
+        for name in first:
+            cells = [keys[name] for keys, _ in self.groups]
+            columns[name] = pa.array(cells, schema.field(name).type)
+        for name, example in statistics.items():
+            cells = [found[name] for _, found in self.groups]
+            if not isinstance(example, Estimate):
+                columns[name] = pa.array(cells, pa.int64())
+                continue
+            for place, suffix in enumerate(("", "_low", "_high", "_n")):
+                dtype = pa.int64() if suffix == "_n" else pa.float64()
+                numbers = [cell[place] for cell in cells]
+                columns[name + suffix] = pa.array(numbers, dtype, from_pandas=True)
+        return pa.table(columns)
 
 
 def summarise(table: Any, by: str | Sequence[str], names: Sequence[str] | None = None) -> pa.Table:
     """Compute the statistics of each group of runs, one row per group.
 
-    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then ``X``, ``X_low``
-    and ``X_high`` for every statistic X with its 95 % interval (over the draws; none for runs on a
-    record, see `sinsjax.analysis.estimates`), and ``X_n``, the runs used, if X omits non-finite
-    values:
+    Columns: the keys; ``n`` runs, of which ``nonfinite`` and ``no_floor``; then for every statistic
+    X also ``X_low`` and ``X_high``, its 95 % interval over the draws (none on a record), and
+    ``X_n``, the runs used, as means omit non-finite values:
 
-    * ``success_rate`` (status ``ok``) and ``diverged_rate``: shares of all runs;
-      ``success_truth_rate``, ``success_floor_rate``: that end within the band about the truth, and
-      about the bias floor;
-    * for each band B ``settle_B_s_median`` and ``settle_B_s_q90`` (infinite: never),
-      ``settle_B_s_mean`` of the runs that settled, and ``never_settled_B``, a count without
-      interval; about the truth the same of ``settle_B_truth_s``; all but the count also of
-      ``settle_B_data_s`` and ``settle_B_truth_data_s``, with repeated passes over a stored record;
-    * the heading error from the truth, arcmin, at the end and at report times: ``phi_u_arcmin_rms``
-      (180 deg at most), ``phi_u_arcmin_abs_q90``, which 90 % of the runs do not exceed (a run
-      without a number counts as infinite), and the same of ``phi_u_at_T_arcmin``;
-    * the signed window means, arcmin: ``phi_u_mean_arcmin_mean``, ``..._std`` (null if the runs
-      ended in more than one status), ``..._q10``, ``..._median``, ``..._q90`` of the finite values;
-      ``phi_u_from_floor_arcmin_mean``: window mean minus floor; ``phi_u_std_arcmin_mean``: the
-      standard deviation inside a run's window;
-    * ``nees_median``, ``nees_mean`` and ``nis_u_mean``, the means with the band of a consistent
-      filter in ``X_chi2_low`` and ``X_chi2_high``.
+    * ``success_rate`` (status ``ok``), ``diverged_rate``, ``success_truth_rate`` and
+      ``success_floor_rate`` (about the truth, about the bias floor): shares of runs;
+    * for each band B ``settle_B_s_median``, ``settle_B_s_q90`` (infinite: never),
+      ``settle_B_s_mean`` of the runs that settled and the count ``never_settled_B``, and the same
+      of ``settle_B_truth_s`` and, in time of stored data, ``settle_B_data_s``;
+    * the heading error from the truth, arcmin: ``phi_u_arcmin_rms`` (180 deg at most),
+      ``phi_u_arcmin_abs_q90`` (a run without a number counts as infinite), at report times
+      ``phi_u_at_T_arcmin_rms`` and ``phi_u_at_T_arcmin_abs_q90``;
+    * signed window means, arcmin: ``phi_u_mean_arcmin_mean``, ``..._q10``, ``..._median``,
+      ``..._q90``, ``phi_u_from_floor_arcmin_mean``; ``phi_u_std_arcmin_mean`` within the window;
+    * ``nees_median``, ``nees_mean`` and ``nis_u_mean``.
 
     Statistics about the bias floor use only runs that have one. Null is unknown, as all but ``n``
     and ``nonfinite`` are without truth or reference.
@@ -160,44 +135,100 @@ def estimate_groups(
     if unknown := [name for name in chosen if name not in offered]:
         raise InputError(f"summary: there is no statistic {unknown[0]} of these columns")
     statistics = {name: offered[name] for name in chosen}
-    suffixes: dict[str, tuple[str, ...]] = dict.fromkeys(("n", "nonfinite", "no_floor"), _COUNT)
-    for name, statistic in statistics.items():
-        suffixes[name] = statistic.suffixes
-        if name in _CHI2:
-            suffixes[f"{name}_chi2"] = _INTERVAL[1:]
-    groups = _groups(table, by, statistics.values())
-    return Estimates([(key, _statistics(rows, statistics)) for key, rows in groups], suffixes)
-
-
-def _groups(
-    table: pa.Table, by: Sequence[str], statistics: Iterable[_Statistic]
-) -> Iterator[tuple[dict[str, Any], pa.Table]]:
-    """The groups of a table, with the columns that some statistics need."""
-    used = [column.partition("=")[0] for one in statistics for column in one.columns]
+    used = [column.partition("=")[0] for one in statistics.values() for column in one.columns]
     optional = {"has_floor", *CLUSTER_COLUMNS}.intersection(table.column_names)
-    used = [*by, "status", "phi_u_arcmin", *used, *optional]
+    used = list(dict.fromkeys([*by, "status", "phi_u_arcmin", *used, *optional]))
     for column in used:
         require_column(table, column)
-    yield from group_rows(table.select(list(dict.fromkeys(used))), by)
+    groups = group_rows(table.select(used), by)
+    return Estimates([(key, _statistics(rows, statistics)) for key, rows in groups])
 
 
-def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Estimate]:
+def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[str, Any]:
     """The statistics of a group."""
-    truth, with_floor = has_truth(rows), select_runs_with_floor(rows)
-    found = {
-        "n": _count(rows.num_rows),
-        "nonfinite": _count(int(status_mask(rows, "nonfinite").sum())),
-        "no_floor": _count(rows.num_rows - with_floor.num_rows),
+    truth, with_floor = has_truth(rows), rows
+    if "has_floor" in rows.column_names:
+        with_floor = rows.filter(pc.fill_null(rows["has_floor"], True))
+    found: dict[str, Any] = {
+        "n": rows.num_rows,
+        "nonfinite": int(status_mask(rows, "nonfinite").sum()),
+        "no_floor": rows.num_rows - with_floor.num_rows,
     }
-    for name, (columns, estimate, _, needs_truth, needs_floor) in statistics.items():
-        used, found[name] = with_floor if needs_floor else rows, UNKNOWN
+    for name, (columns, estimate, needs_truth, needs_floor) in statistics.items():
+        used = with_floor if needs_floor else rows
+        found[name] = None if estimate is _count_missing else UNKNOWN
         if used.num_rows and (truth or not needs_truth):
-            values = (_numbers(used, column) for column in columns)
+            values = (column_values(used, column) for column in columns)
             found[name] = estimate(*values, cluster=cluster_ids(used))
-        if name in _CHI2:  # valid for independent runs only
-            band = chi2_mean_band(_CHI2[name], found[name].n * has_independent_runs(rows))
-            found[f"{name}_chi2"] = Estimate(_CHI2[name], *band, found[name].n)
     return found
+
+
+def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
+    """All statistics of a table with these columns, by name."""
+    found = {
+        f"{name}_rate": _Statistic((f"status={status}",), _SHARE, needs_truth=True)
+        for name, status in {"success": "ok", "diverged": "diverged"}.items()
+    }
+    for flag in (name for name in _FLAGS if name in columns):
+        found[_FLAGS[flag]] = _Statistic(
+            (flag,), _SHARE, needs_truth=True, needs_floor=flag == "ok_floor"
+        )
+    for name in (name for name in columns if name.startswith("settle_")):
+        by_end: dict[str, Callable[..., Estimate | int]] = {
+            f"{name}_median": quantile,
+            f"{name}_q90": partial(quantile, q=0.9),
+            f"{name}_mean": partial(mean, limits=(0.0, math.inf)),
+        }
+        if not name.endswith("_data_s"):
+            count = name.replace("settle_", "never_settled_").removesuffix("_s")
+            by_end = {count: _count_missing} | by_end
+        for end, estimate in by_end.items():
+            found[end] = _Statistic((name,), estimate, True, "_truth_" not in name)
+    for name in (x for x in columns if x == "phi_u_arcmin" or x.startswith("phi_u_at_")):
+        found[f"{name}_rms"] = _Statistic((name,), partial(rms, max_magnitude=_MOST))
+        found[f"{name}_abs_q90"] = _Statistic((name,), partial(_known_quantile, q=0.9, of=np.abs))
+    quantiles = {"q10": 0.1, "median": 0.5, "q90": 0.9}
+    return found | {
+        "phi_u_mean_arcmin_mean": _Statistic((_YAW,), mean),
+        **{
+            f"phi_u_mean_arcmin_{name}": _Statistic(
+                (_YAW,), partial(_of_finite, partial(quantile, q=q))
+            )
+            for name, q in quantiles.items()
+        },
+        "phi_u_from_floor_arcmin_mean": _Statistic((_YAW, _FLOOR), mean_difference),
+        "phi_u_std_arcmin_mean": _Statistic(("phi_u_std_arcmin",), mean),
+        "nees_median": _Statistic(("nees",), _known_quantile),
+        "nees_mean": _Statistic(("nees",), mean),
+        "nis_u_mean": _Statistic(("nis_u",), mean),
+    }
+
+
+def _count_missing(values: NDArray, cluster: NDArray | None) -> int:
+    return int(np.isnan(values).sum())
+
+
+def _of_finite(
+    estimate: Callable[..., Estimate], values: NDArray, cluster: NDArray | None
+) -> Estimate:
+    """An estimate of the finite values; unknown without any."""
+    known = np.isfinite(values)
+    of_known = None if cluster is None else cluster[known]
+    return estimate(values[known], cluster=of_known) if known.any() else UNKNOWN
+
+
+def _known_quantile(
+    values: NDArray, cluster: NDArray | None, q: float = 0.5, of: Callable[..., Any] = np.asarray
+) -> Estimate:
+    """A quantile in which a run without a number counts as infinite; unknown if all do."""
+    return quantile(of(values), q, cluster) if np.isfinite(values).any() else UNKNOWN
+
+
+_SHARE = partial(_of_finite, share)
+"""The share of runs whose flag is set; unknown if it was not recorded."""
+
+
+# --- paired differences -------------------------------------------------------------------------
 
 
 def compare_with_baseline(
@@ -223,150 +254,56 @@ def compare_with_baseline(
     Raises:
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
     """
-    statistics = _available_differences(table.column_names)
-    found = list(_groups(table, by, statistics.values()))
+    groups = list(group_rows(table, by))
     key = {name: list(x) if isinstance(x, tuple) else x for name, x in baseline.items()}
-    base = next((rows for group, rows in found if group == key), None)
+    base = next((rows for group, rows in groups if group == key), None)
     if base is None:
         raise InputError(f"summary: there are no runs of the baseline {key}")
     truth = has_truth(table)
-    groups = [
-        (group, {"n": _count(rows.num_rows)} | _differences(rows, base, statistics, truth=truth))
-        for group, rows in found
-        if rows is not base
-    ]
-    suffixes = {name: statistic.suffixes for name, statistic in statistics.items()}
-    return Estimates(groups, {"n": _COUNT} | suffixes)
+    return Estimates(
+        [
+            (group, {"n": rows.num_rows} | _differences(rows, base, truth=truth))
+            for group, rows in groups
+            if rows is not base
+        ]
+    )
 
 
-def _differences(
-    rows: pa.Table, base: pa.Table, statistics: Mapping[str, _Statistic], *, truth: bool
-) -> dict[str, Estimate]:
-    """The differences of a group from the baseline."""
-    orders = paired_row_indices(rows, base)
-    pair = [one.take(order) for one, order in zip((rows, base), orders, strict=True)]
-    with_floor = all(select_runs_with_floor(one).num_rows == one.num_rows for one in pair)
-    found = {}
-    for name, (columns, estimate, _, needs_truth, needs_floor) in statistics.items():
-        found[name] = UNKNOWN
-        if (truth or not needs_truth) and (with_floor or not needs_floor):
-            found[name] = estimate(*([_numbers(one, column) for column in columns] for one in pair))
-        if not has_independent_runs(rows):  # on one record, where no difference has an interval
-            found[name] = found[name]._replace(low=math.nan, high=math.nan)
-    return found
+def _differences(rows: pa.Table, base: pa.Table, *, truth: bool) -> dict[str, Estimate]:
+    """The differences of a group from the baseline, by name."""
+    clusters = cluster_ids(rows)
+    is_recorded = clusters is not None and np.unique(clusters).size < rows.num_rows
+    flags = [t["has_floor"] for t in (rows, base) if "has_floor" in t.column_names]
+    with_floor = all(pc.all(pc.fill_null(flag, True)).as_py() for flag in flags)
+
+    def differ(
+        difference: Callable[..., Estimate], *columns: str, needs_floor: bool = False
+    ) -> Estimate:
+        pairs = [pair_by_draw(rows, base, column) for column in columns]
+        if not truth or (needs_floor and not with_floor):
+            return UNKNOWN
+        found = difference(*pairs)
+        return found._replace(low=math.nan, high=math.nan) if is_recorded else found
+
+    found = {"success_rate_difference": differ(_share_difference, "status=ok")}
+    for name in rows.column_names:
+        if name in _FLAGS:
+            needs_floor = name == "ok_floor"
+            found[f"{_FLAGS[name]}_difference"] = differ(
+                _share_difference, name, needs_floor=needs_floor
+            )
+        if name.startswith("settle_"):
+            found[f"{name}_median_difference"] = differ(
+                lambda pair: quantile_difference(*pair), name, needs_floor="_truth_" not in name
+            )
+    return found | {"phi_u_error_arcmin_difference": differ(_closer, _YAW, _FLOOR)}
 
 
-# --- the statistics -----------------------------------------------------------------------------
-
-_CHI2 = {"nees_mean": NEES_FREEDOM, "nis_u_mean": 1}
-"""Means of chi-square values, and their degrees of freedom."""
-
-
-def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
-    """All statistics of a table with these columns, by name."""
-    found = {
-        f"{name}_rate": _Statistic((f"status={status}",), _recorded_share, needs_truth=True)
-        for name, status in {"success": "ok", "diverged": "diverged"}.items()
-    }
-    for flag in (name for name in ("ok_floor", "ok_truth") if name in columns):
-        found[f"{flag.replace('ok', 'success')}_rate"] = _Statistic(
-            (flag,), _recorded_share, needs_truth=True, needs_floor=flag == "ok_floor"
-        )
-    for name in (name for name in columns if name.startswith("settle_")):
-        by_end: dict[str, tuple[Callable[..., Estimate], tuple[str, ...]]] = {
-            f"{name}_median": (quantile, _INTERVAL),
-            f"{name}_q90": (partial(quantile, q=0.9), _INTERVAL),
-            f"{name}_mean": (partial(mean, limits=(0.0, math.inf)), _MEAN),
-        }
-        if not name.endswith("_data_s"):
-            count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            by_end = {count: (_count_missing, _COUNT)} | by_end
-        for end, (estimate, suffixes) in by_end.items():
-            found[end] = _Statistic((name,), estimate, suffixes, True, "_truth_" not in name)
-    for name in (name for name in columns if name == "phi_u_arcmin" or name.startswith(_AT)):
-        found[f"{name}_rms"] = _Statistic((name,), partial(rms, max_magnitude=_MOST), _MEAN)
-        found[f"{name}_abs_q90"] = _Statistic((name,), partial(_known_quantile, q=0.9, of=np.abs))
-    quantiles = {"q10": 0.1, "median": 0.5, "q90": 0.9}
-    return found | {
-        "phi_u_mean_arcmin_mean": _Statistic((_YAW,), mean, _MEAN),
-        "phi_u_mean_arcmin_std": _Statistic((_YAW, "status"), _std_of_single_status, _MEAN),
-        **{
-            f"phi_u_mean_arcmin_{name}": _Statistic((_YAW,), partial(_finite_quantile, q=q))
-            for name, q in quantiles.items()
-        },
-        "phi_u_from_floor_arcmin_mean": _Statistic((_YAW, _FLOOR), mean_difference, _MEAN),
-        "phi_u_std_arcmin_mean": _Statistic(("phi_u_std_arcmin",), mean, _MEAN),
-        "nees_median": _Statistic(("nees",), _known_quantile),
-        "nees_mean": _Statistic(("nees",), mean, _MEAN),
-        "nis_u_mean": _Statistic(("nis_u",), mean, _MEAN),
-    }
-
-
-def _available_differences(columns: Sequence[str]) -> dict[str, _Statistic]:
-    """All differences of a table with these columns, by name."""
-    found = {"success_rate_difference": _Statistic((_OK,), _share_difference, needs_truth=True)}
-    for flag in (name for name in ("ok_floor", "ok_truth") if name in columns):
-        found[f"{flag.replace('ok', 'success')}_rate_difference"] = _Statistic(
-            (flag,), _share_difference, needs_truth=True, needs_floor=flag == "ok_floor"
-        )
-    for name in (name for name in columns if name.startswith("settle_")):
-        found[f"{name}_median_difference"] = _Statistic(
-            (name,),
-            lambda a, b: quantile_difference(*a, *b),
-            needs_truth=True,
-            needs_floor="_truth" not in name,
-        )
-    return found | {"phi_u_error_arcmin_difference": _Statistic((_YAW, _FLOOR), _closer, _MEAN)}
-
-
-def _numbers(rows: pa.Table, column: str) -> NDArray:
-    """A column as numbers: ``status=ok`` as whether it is, and other words by a code."""
-    name, _, word = column.partition("=")
-    if word:
-        return status_mask(rows, word)
-    return encode_values(rows[name]) if name == "status" else numeric_column(rows, name)
-
-
-def _count(number: int) -> Estimate:
-    return Estimate(number, math.nan, math.nan, number)
-
-
-def _count_missing(values: NDArray, cluster: NDArray | None) -> Estimate:
-    return _count(int(np.isnan(values).sum()))
-
-
-def _recorded_share(flags: NDArray, cluster: NDArray | None) -> Estimate:
-    """The share of runs whose flag is set; unknown if it was not recorded."""
-    known = np.isfinite(flags)
-    of_known = None if cluster is None else cluster[known]
-    return share(flags[known], of_known) if known.any() else UNKNOWN
-
-
-def _std_of_single_status(values: NDArray, status: NDArray, cluster: NDArray | None) -> Estimate:
-    """The spread of the window means, which is meaningful only for runs of the same status."""
-    return UNKNOWN if np.ptp(status) else std(values, cluster)
-
-
-def _known_quantile(
-    values: NDArray,
-    cluster: NDArray | None,
-    q: float = 0.5,
-    of: Callable[[NDArray], NDArray] = np.asarray,
-) -> Estimate:
-    return quantile(of(values), q, cluster) if np.isfinite(values).any() else UNKNOWN
-
-
-def _finite_quantile(values: NDArray, cluster: NDArray | None, q: float) -> Estimate:
-    known = np.isfinite(values)
-    of_known = None if cluster is None else cluster[known]
-    return quantile(values[known], q, of_known) if known.any() else UNKNOWN
-
-
-def _share_difference(a: Sequence[NDArray], b: Sequence[NDArray]) -> Estimate:
+def _share_difference(flags: tuple[NDArray, NDArray]) -> Estimate:
     """The difference of two shares; unknown unless the flag was recorded in every run."""
-    return proportion_difference(*a, *b) if np.isfinite([*a, *b]).all() else UNKNOWN
+    return proportion_difference(*flags) if np.isfinite(flags).all() else UNKNOWN
 
 
-def _closer(a: Sequence[NDArray], b: Sequence[NDArray]) -> Estimate:
+def _closer(yaw: tuple[NDArray, NDArray], floor: tuple[NDArray, NDArray]) -> Estimate:
     """The difference of two distances of window means from their floors."""
-    return mean_difference(*(np.abs(yaw - floor) for yaw, floor in (a, b)))
+    return mean_difference(*np.abs(np.subtract(yaw, floor)))

@@ -1,4 +1,4 @@
-"""Access to the summary table: columns as numbers, groups of runs, runs paired by draw."""
+"""Access to a summary: columns as numbers, groups of runs, runs paired by draw."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
 
-_SLICE = 2**16  # rows converted to Python objects at a time
+
+def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
+    """A column of a table.
+
+    Raises:
+        InputError: it is missing.
+    """
+    if name not in table.column_names:
+        raise InputError(f"summary: column {name} is missing")
+    return table[name]
 
 
 def numeric_column(table: pa.Table, column: str) -> NDArray:
@@ -44,20 +53,13 @@ def has_truth(table: pa.Table) -> bool:
     return known or any(status_mask(table, name).any() for name in ("nonfinite", "no_north"))
 
 
-def select_runs_with_floor(table: pa.Table) -> pa.Table:
-    """Return the runs that have a bias floor; all runs if the table has no such column."""
-    if "has_floor" not in table.column_names:
-        return table
-    return table.filter(pc.fill_null(table["has_floor"], True))
-
-
 def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
     """One column of two tables, paired by draw.
 
     Args:
         a: one row per draw, with ``draw_id``.
         b: the same draws, in any order.
-        column: a numeric column of both.
+        column: a numeric column of both, or ``status=ok`` for the runs with this status.
 
     Returns:
         The column in a and in b, each in ascending order of ``draw_id``; null is NaN.
@@ -65,26 +67,24 @@ def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArra
     Raises:
         InputError: a missing column, a repeated draw, or draws that differ.
     """
-    first, second = paired_row_indices(a, b)
-    return numeric_column(a, column)[first], numeric_column(b, column)[second]
-
-
-def paired_row_indices(a: pa.Table, b: pa.Table) -> tuple[NDArray, NDArray]:
-    """The rows of two tables in ascending order of ``draw_id``; raises as `pair_by_draw`."""
     (draws, first), (others, second) = (
-        np.unique(numeric_column(t, "draw_id"), True) for t in (a, b)
+        np.unique(numeric_column(t, "draw_id"), return_index=True) for t in (a, b)
     )
     if draws.size < a.num_rows or others.size < b.num_rows:
         raise InputError("summary: draw_id repeats, so runs cannot be paired by draw")
     if not np.array_equal(draws, others):
         raise InputError("summary: the draws differ, so runs cannot be paired by draw")
-    return first, second
+    return column_values(a, column)[first], column_values(b, column)[second]
+
+
+def column_values(table: pa.Table, column: str) -> NDArray:
+    """A column as numbers, or for ``status=ok`` whether each run has this status."""
+    _, _, status = column.partition("=")
+    return status_mask(table, status) if status else numeric_column(table, column)
 
 
 def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
     """Split a table by the values of some columns.
-
-    The table is copied once, in the order of the groups, so pass only the columns needed.
 
     Args:
         table: any table.
@@ -98,8 +98,7 @@ def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, A
         InputError: a key column is missing.
     """
     number = group_numbers(table, by)
-    ordered = table.take(np.argsort(number, kind="stable"))
-    start = 0
+    ordered, start = table.take(np.argsort(number, kind="stable")), 0
     for size in np.bincount(number).tolist():
         rows = ordered.slice(start, size)
         yield {name: rows[name][0].as_py() for name in by}, rows
@@ -110,24 +109,15 @@ def group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
     """The number of the group of each row, by first appearance, see `group_rows`; (rows,)."""
     number = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
+        column = require_column(table, name).combine_chunks()
+        if pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type):
+            column = pa.array(map(repr, column.to_pylist()), pa.string())
+        encoded = pc.dictionary_encode(column, null_encoding="encode").indices.to_numpy()
         # Renumbered after each key, so that the product of many keys cannot overflow.
-        number = number * (table.num_rows + 1) + encode_values(require_column(table, name))
+        number = number * (table.num_rows + 1) + encoded
         _, first, number = np.unique(number, return_index=True, return_inverse=True)
         number = np.argsort(np.argsort(first))[number]
     return number
-
-
-def encode_values(column: pa.ChunkedArray) -> NDArray:
-    """A number for each distinct value of a column by first appearance, shape (rows,)."""
-    if not (pa.types.is_nested(column.type) or pa.types.is_dictionary(column.type)):
-        whole = column.combine_chunks()
-        return pc.dictionary_encode(whole, null_encoding="encode").indices.to_numpy()
-    seen: dict[str, int] = {}
-    found = np.empty(len(column), dtype=np.int64)
-    for start in range(0, len(column), _SLICE):
-        values = column.slice(start, _SLICE).to_pylist()
-        found[start : start + _SLICE] = [seen.setdefault(repr(v), len(seen)) for v in values]
-    return found
 
 
 def to_key_list(by: str | Sequence[str]) -> list[str]:
@@ -148,14 +138,3 @@ def to_arrow_table(runs: Any) -> pa.Table:
     raise InputError(
         f"{type(runs).__name__}: is not a table (give a pyarrow table or a pandas frame)"
     )
-
-
-def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
-    """A column of a table.
-
-    Raises:
-        InputError: it is missing.
-    """
-    if name not in table.column_names:
-        raise InputError(f"summary: column {name} is missing")
-    return table[name]

@@ -120,7 +120,7 @@ def export_study(
         _write_file(out / STUDY, study_to_toml(runs.source).encode()),
         _write_file(out / README, readme.encode()),
     ]
-    starts = np.empty((9, *runs.run_id.shape))
+    starts, places = np.empty((6, *runs.run_id.shape)), np.empty((3, *runs.run_id.shape))
     truths: dict[int, pa.Table] = {}
     for batch, condition in runs.batches():
         found = given.find_starts(batch)
@@ -132,12 +132,15 @@ def export_study(
         names = [record_name(runs, format, environment, draw) for draw in range(study.n_draws)]
         truths[environment] = _truth_table(found.truth, names, frame, study)
         records = simulated_records(batch, study.rate_hz, study.name)
-        for name, record in zip(names, records, strict=True):
+        for draw, (name, record) in enumerate(zip(names, records, strict=True)):
             files.append(_write_file(out / name, _record_content(record, format, frame)))
+            place = record.latitude_deg, record.height_m, record.gravity_m_per_s2
+            places[:, draw, runs.environments == environment] = np.array(place, float)[:, None]
             if on_progress is not None:
                 total = study.n_draws * (int(runs.environments.max()) + 1)
                 on_progress(RunProgress(len(files) - 2, total, None, 0, "records"))
-    files.append(_write_file(out / INITIAL, _to_csv(initial_table(runs, starts, format, frame))))
+    initial = initial_table(runs, [*starts, *places], format, frame)
+    files.append(_write_file(out / INITIAL, _to_csv(initial)))
     truth = pa.concat_tables([truths[number] for number in sorted(truths)])
     files.append(_write_file(out / TRUTH, _to_parquet(truth)))
     manifest = {
@@ -186,12 +189,13 @@ def record_name(runs: ProgramRuns, format: str, environment: int, draw: int) -> 
     return f"{RECORDS}/{number}draw_{draw:05d}{FORMATS[format]}"
 
 
-def initial_table(runs: ProgramRuns, starts: NDArray, format: str, frame: str) -> pa.Table:
+def initial_table(runs: ProgramRuns, starts: list[NDArray], format: str, frame: str) -> pa.Table:
     """Return the initial solutions, one row per run, by run_id.
 
-    Starts are the fields of `given.RunStarts`, (fields, draws, conditions).
+    Starts are quaternion and velocity, m/s, then latitude, deg, height and gravity, each of shape
+    (draws, conditions).
     """
-    *quaternion, east, north, latitude, height, gravity = starts.reshape(len(starts), -1)
+    *quaternion, east, north, latitude_deg, height, gravity = (part.ravel() for part in starts)
     attitude = Quat(*quaternion)
     pitch, roll, yaw = to_angles(attitude, frame).T / DEG
     first = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
@@ -208,7 +212,7 @@ def initial_table(runs: ProgramRuns, starts: NDArray, format: str, frame: str) -
             "draw_id": draw,
             "variant_id": variant,
             **{name: np.where(known, v + 0.0, np.nan) for name, v in first.items()},  # no -0
-            "latitude_deg": latitude / DEG,
+            "latitude_deg": latitude_deg,
             "height_m": height,
             "gravity_m_per_s2": gravity,
             "rate_hz": np.full(len(draw), float(source.rate_hz)),

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,22 +67,16 @@ class RunStarts(NamedTuple):
     Attributes:
         attitude: misaligned, from b to n.
         velocity: east and north, m/s.
-        latitude: rad.
-        height: m.
-        gravity: m/s^2.
         truth: true attitudes of the draws at record times, leaves (intervals, draws).
     """
 
     attitude: Quat
     velocity: tuple[Array, Array]
-    latitude: Array
-    height: Array
-    gravity: Array
     truth: Quat
 
 
 def find_starts(batch: Batch) -> RunStarts:
-    """Return the first solutions, the places and the true attitudes of the runs of a batch."""
+    """Return the first solutions and the true attitudes of the runs of a batch."""
     return _call(_find_starts, batch)
 
 
@@ -110,9 +103,7 @@ def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Ru
     if turns is not None:
         truth = multiply(truth, jax.tree.map(lambda a: a[1:], turns))
     params, attitude = runs.params, runs.start().state.attitude
-    place = runs.site.latitude, runs.site.earth.height, runs.site.place.gravity
-    latitude, height, gravity = (jnp.broadcast_to(a, params.ve.shape) for a in place)
-    return RunStarts(attitude, (params.ve, params.vn), latitude, height, gravity, truth)
+    return RunStarts(attitude, (params.ve, params.vn), truth)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -7,7 +7,6 @@ biases, so even the sign of a small error shows.
 """
 
 from collections.abc import Iterator
-from itertools import product
 
 import jax
 import numpy as np
@@ -25,11 +24,7 @@ _BETTER, _MUCH_BETTER = 0.25, 0.1
 _LEAST = 30 * ARCMIN
 """Error from the truth from which another reading is suspected, rad."""
 
-_SIMPLER = 2.0
-"""Ratio of errors up to which the reading with fewer changes is named."""
-
 _YAWS = {
-    "": (1, 0.0),
     "is yaw mirrored (positive the other way round)": (-1, 0.0),
     **{f"is yaw off by {turn} deg": (1, turn) for turn in (90, -90, 180)},
     "is yaw mirrored and from east": (-1, 90.0),
@@ -61,14 +56,12 @@ def suspect(given: GivenResults, q_true: Quat, usual: NDArray) -> str | None:
             error, now = (_distance(q_true, q, phi) for q in (given.attitude, attitude))
             good = max(DEG, 3 * _norm(phi))
             if error > least and now <= min(_BETTER * error, max(good, _MUCH_BETTER * error)):
-                found.append((now / error * _SIMPLER ** (len(words) - 1), words, now, error))
+                found.append((now / error, words, now / ARCMIN, error / ARCMIN))
     if not found:
         return None
     _, words, now, error = min(found)
-    return (
-        f"{' and '.join(words)}? Read so, the median distance from the expected attitude"
-        f" is {now / ARCMIN:.3g} arcmin instead of {error / ARCMIN:.3g}"
-    )
+    median = "the median distance from the expected attitude"
+    return f"{words}? Read so, {median} is {now:.3g} arcmin instead of {error:.3g}"
 
 
 def _distance(q_true: Quat, attitude: Quat, phi: NDArray) -> float:
@@ -80,16 +73,15 @@ def _norm(phi: NDArray) -> float:
     return float(np.median(np.linalg.norm(phi, axis=-1)))
 
 
-def _iter_readings(given: GivenResults) -> Iterator[tuple[tuple[str, ...], Quat]]:
+def _iter_readings(given: GivenResults) -> Iterator[tuple[str, Quat]]:
     """Yield other readings of results: what they suppose, in words, and attitudes."""
-    angles, units = given.values, {"": 1.0, "are the angles in radians": 1 / DEG}
     if given.has_quaternions:
-        angles, units = to_angles(given.attitude, given.frame), {"": 1.0}
-        for text, (order, sign) in _QUATERNIONS.items():
+        for words, (order, sign) in _QUATERNIONS.items():
             values = given.values[:, order] * [1, sign, sign, sign]
-            yield (text,), from_quaternion(values, given.frame)
-    for (unit, factor), (yaw, (sign, turn)) in product(units.items(), _YAWS.items()):
-        if words := tuple(filter(None, (unit, yaw))):
-            changed = factor * angles
-            changed[:, 2] = sign * (changed[:, 2] - turn * DEG)
-            yield words, from_angles(changed, given.frame)
+            yield words, from_quaternion(values, given.frame)
+    else:
+        yield "are the angles in radians", from_angles(given.values / DEG, given.frame)
+    for words, (sign, turn) in _YAWS.items():
+        changed = to_angles(given.attitude, given.frame)
+        changed[:, 2] = sign * (changed[:, 2] - turn * DEG)
+        yield words, from_angles(changed, given.frame)

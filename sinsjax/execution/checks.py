@@ -26,6 +26,7 @@ from sinsjax.units import ARCMIN, DEG
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"
 _START_KEYS = ("p0_yaw_deg", "phi_u0_deg")  # of filters; of other methods that need a start
+_BANDS_ARCMIN = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200)  # to set in place of narrower
 
 
 def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
@@ -129,19 +130,23 @@ def band_warnings(study: Study) -> Iterator[str]:
     At most two thirds of the runs can end in such a band. The best variant counts, with all data of
     the longest run. Bands are that of success and, if the file gives them, those of settling times.
     """
-    settings, bands = study.study, [success_criteria(study).band_arcmin]
-    if "settle_bands_arcmin" in settings.model_fields_set:
-        bands += settings.settle_bands_arcmin
+    settings, success_arcmin = study.study, success_criteria(study).band_arcmin
+    is_given = "settle_bands_arcmin" in settings.model_fields_set
+    given = settings.settle_bands_arcmin if is_given else ()
     length_s = data_end_s(study)
     keys = [key for key in ("method", *NOISE_KEYS, *_START_KEYS) if study.is_readable(key)]
     points = study.combinations(*keys)
     sigma = min(_heading_sigma(study.rate_hz, length_s, point) for point in points) / ARCMIN
-    if min(bands) < sigma:
-        yield (
-            f"{min(bands):g}' cannot be reached reliably with these sensors in {length_s:g} s"
-            f" ({float(f'{2 * sigma:.2g}'):,g}', 2 sigma of their noise): set wider bands with"
-            " success_band_arcmin and settle_bands_arcmin"
-        )
+    narrowest = min((success_arcmin, *given))
+    if narrowest >= sigma:
+        return
+    wide = next((band for band in _BANDS_ARCMIN if band >= 4 * sigma), _BANDS_ARCMIN[-1])
+    hints = [f"settle_bands_arcmin, e.g. [{wide}]"] if min(given, default=sigma) < sigma else []
+    hints += [f"success_band_arcmin, e.g. {wide}"] if success_arcmin < sigma else []
+    yield (
+        f"{narrowest:g}' cannot be reached reliably with these sensors in {length_s:g} s"
+        f" ({float(f'{2 * sigma:.2g}'):,g}', 2 sigma of their noise): set {' and '.join(hints)}"
+    )
 
 
 def _heading_sigma(rate_hz: float, length_s: float, point: Mapping[str, Any]) -> float:

@@ -155,9 +155,12 @@ def load_increments(
         InputError: a file cannot be used, or the study has no [record].
 
     Examples:
-        >>> from sinsjax.records import write_psins
-        >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")
-        >>> stored = sinsjax.load_increments("car_test", "car.imu")
+        >>> import numpy as np
+        >>> layout = sinsjax.load_study("csv_log").record
+        >>> names = [layout.time_column, *layout.gyro_columns, *layout.accel_columns]
+        >>> samples = np.c_[10.0 * np.arange(1, 1001), np.zeros((1000, 5)), -np.ones(1000)]
+        >>> np.savetxt("drive.csv", samples, delimiter=",", header=",".join(names), comments="")
+        >>> stored = sinsjax.load_increments("csv_log", "drive.csv")
         >>> stored.record.rate_hz, stored.reference is None
         (100.0, True)
     """

@@ -28,6 +28,8 @@ class RunProgress(NamedTuple):
             to count.
         done_before: runs completed before this session.
         unit: what is counted, in words.
+        compiled: compiled programs.
+        programs: number of programs to compile; 0 if they are compiled elsewhere.
     """
 
     done: int
@@ -35,6 +37,8 @@ class RunProgress(NamedTuple):
     failures: int | None
     done_before: int
     unit: str = "runs"
+    compiled: int = 0
+    programs: int = 0
 
     @property
     def state(self) -> str:
@@ -42,7 +46,10 @@ class RunProgress(NamedTuple):
         if self.failures is None:
             return ""
         if self.done == self.done_before:
-            return "already done" if self.done else "compiling"
+            if self.done:
+                return "already done"
+            which = f" {min(self.compiled + 1, self.programs)} of {self.programs} programs"
+            return f"compiling{which if self.programs > 1 else ''}"
         return f"{self.failures:,} failed"
 
 

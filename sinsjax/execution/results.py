@@ -89,7 +89,13 @@ class Results:
         """
         directory = Path(directory)
         manifest = Manifest.read(directory)
-        study = _load_study(directory, manifest)
+        study = load_study(directory / STUDY)
+        if manifest.fingerprint != fingerprint(study):
+            words = ("in the results", "in the file")
+            differing = "; ".join(describe_differences(manifest.study, study, words))
+            remedy = "(restore it, or delete it: `--resume` writes it again)"
+            text = f"is not the study of the results: {differing} {remedy}"
+            raise InputError(f"{directory / STUDY}: {text}")
         results = cls(study, manifest.wall_s, directory=directory, manifest=manifest)
         planned, runs = study.n_draws * study.n_variants, results.runs  # verifies the summary
         if runs < planned and manifest.state != "complete":
@@ -196,22 +202,8 @@ class Results:
         return display.format_text(f"Results of {self.study.name}", facts)
 
 
-def _load_study(directory: Path, manifest: Manifest) -> Study:
-    """Load the study of a results directory, which must be that of its manifest."""
-    study = load_study(directory / STUDY)
-    if manifest.fingerprint != fingerprint(study):
-        differing = describe_differences(manifest.study, study, ("in the results", "in the file"))
-        text = f"is not the study of the results: {'; '.join(differing)}"
-        remedy = "(restore it, or delete it: `--resume` writes it again)"
-        raise InputError(f"{directory / STUDY}: {text} {remedy}")
-    return study
-
-
 def read_summary(
-    directory: str | Path,
-    names: Sequence[str] | None = None,
-    *,
-    run_ids: list[int] | None = None,
+    directory: str | Path, names: Sequence[str] | None = None, *, run_ids: list[int] | None = None
 ) -> pa.Table:
     """Read rows of the summary, ordered by run_id.
 

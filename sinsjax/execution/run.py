@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing
-from itertools import chain, takewhile
+from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -230,25 +230,31 @@ def _run_tasks(
     """Run the tasks that a sink lacks, stage by stage."""
     study, stages = runner.job.study, runner.plan_tasks()
     missing, total = set(sink.missing_tasks(chain(*stages))), study.n_draws * study.n_variants
-    done = total - sum(task.runs for task in missing)
-    now, show = RunProgress(done, total, 0, done), on_progress or (lambda progress: None)
-    show(now)
+    done_before = done = total - sum(task.runs for task in missing)
+    programs = len({task.part for task in missing}) if executor.local else 0
+    failures, compiled = 0, count()
+
+    def show(now_compiled: int) -> None:
+        if on_progress is not None:
+            counts = done, total, failures, done_before
+            on_progress(RunProgress(*counts, compiled=now_compiled, programs=programs))
+
+    show(next(compiled))
     with closing(runner):
         for draws, tasks in zip(runner.stages, stages, strict=True):
             pending = [task for task in tasks if task in missing]
             if executor.local:
-                runner.compile(pending)
+                runner.compile(pending, lambda _: show(next(compiled)))
             ready = takewhile(lambda _: not stop.is_set(), pending)
             for result in executor.run_tasks(runner, ready):
                 sink.add_result(result)
                 missing.remove(result.task)
-                done, failures = now.done + result.task.runs, (now.failures or 0) + result.failures
-                now = now._replace(done=done, failures=failures)
-                show(now)
+                done, failures = done + result.task.runs, failures + result.failures
+                show(programs)
             if not missing.isdisjoint(pending):
                 sink.finish("interrupted")
                 where = runner.job.directory
-                raise StudyInterrupted(f"{now.done:,} of {total:,} runs are in {where}")
+                raise StudyInterrupted(f"{done:,} of {total:,} runs are in {where}")
             if _may_stop(study, sink, draws):
                 break
     sink.finish("complete", draws=draws.stop, runs=draws.stop * study.n_variants)

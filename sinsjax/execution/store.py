@@ -25,12 +25,7 @@ from sinsjax.messages import shorten
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
-from sinsjax.study.identity import (
-    describe_differences,
-    fingerprint,
-    sections_to_json,
-    with_draws,
-)
+from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json, with_draws
 from sinsjax.study.load import study_to_toml
 
 _MANIFEST_EVERY_S = 1.0

@@ -8,7 +8,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from itertools import count, groupby
 from pathlib import Path
@@ -68,17 +68,12 @@ class Job(NamedTuple):
     forecast: Forecast | None = None
 
     @property
-    def initial_draws(self) -> int:
-        """Number of draws before the first extension."""
-        return min((*self.extended_at, self.study.n_draws))
-
-    @property
     def identity(self) -> str:
         """Hash of everything that determines the rows: the study and its record, as hex digits.
 
         An extension of the study does not change it.
         """
-        study = with_draws(self.study, self.initial_draws) if self.extended_at else self.study
+        study = with_draws(self.study, min(self.extended_at)) if self.extended_at else self.study
         digest = hashlib.sha256(fingerprint(study).encode())
         if self.stored is not None:
             record, reference = self.stored
@@ -146,8 +141,9 @@ class TaskRunner:
         self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
         self.schemas = self._tables.schemas
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
+        first_draws = min((*job.extended_at, job.study.n_draws))  # before any extension
         self._duplicates = [
-            find_duplicates(spec, job.initial_draws, job.study.duplicate_of[ids])
+            find_duplicates(spec, first_draws, job.study.duplicate_of[ids])
             for spec, ids in zip(scenario.specs, scenario.variant_ids, strict=True)
         ]
         self._lock = threading.Lock()
@@ -213,10 +209,10 @@ class TaskRunner:
                 content[name] = sealed.to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
-    def compile(self, tasks: Iterable[Task]) -> None:
+    def compile(self, tasks: Iterable[Task], on_compiled: Callable[[Future], None]) -> None:
         """Begin to compile the programs of some tasks of one stage, in their order."""
         for program, of in groupby(tasks, lambda task: task.part):
-            self._compiling(program, range(*next(of).draws))
+            self._compiling(program, range(*next(of).draws)).add_done_callback(on_compiled)
 
     def close(self) -> None:
         """Drop the compilations that have not begun; the process would wait for them at its end."""

@@ -85,12 +85,11 @@ class CompassSection(Section):
 
 def check_sigma_factors(study: StudyKeys) -> None:
     """Refuse sigma factors without as many times."""
-    for point in (
-        study.combinations("sigma_factors", "sigma_times_s") if study.has("compass") else ()
-    ):
-        needed, given = len(point["sigma_factors"]) - 1, len(point["sigma_times_s"])
-        if given != needed:
-            text = f"needs {needed} entries for {needed + 1} sigma_factors, not {given}"
+    keys = ("sigma_factors", "sigma_times_s")
+    for point in study.combinations(*keys) if study.has("compass") else ():
+        needed, given = (len(point[key]) for key in keys)
+        if given != needed - 1:
+            text = f"needs {needed - 1} entries for {needed} sigma_factors, not {given}"
             study.refuse("sigma_times_s", text)
 
 

@@ -103,21 +103,6 @@ def build_comparison_panels(
     return values, known or panels
 
 
-def has_significant_effect(panels: Mapping[str, Panel]) -> bool:
-    """Return whether the key of some panels has an effect: two values of a line differ clearly.
-
-    Bars of twice the length are compared, since there are many pairs of values.
-    """
-    for line in (line for panel in panels.values() for line in panel.values()):
-        value, low, high = np.array([e[:3] for e in line], dtype=float).T
-        with np.errstate(invalid="ignore"):
-            lowest = np.where(np.isfinite(value), 2 * high - value, np.inf)
-            highest = np.where(np.isfinite(value), 2 * low - value, value)
-        if np.nanmax(highest, initial=-np.inf) > np.nanmin(lowest, initial=np.inf):
-            return True
-    return False
-
-
 def _default_statistics(table: pa.Table) -> dict[str, str]:
     """Return the statistics that a summary allows, with the titles of their panels."""
     found = {}

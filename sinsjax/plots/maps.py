@@ -86,8 +86,8 @@ def plot_map(
         ...     "settle_10_s": [240.0, 320.0, 250.0, 190.0],
         ... })
         >>> figure = sinsjax.plot_map(runs, "reset_count", "reset_cycle_s", "settle_10_s")
-        >>> figure.axes[-1].get_ylabel().splitlines()
-        ["median time (s) to stay within 10'", 'of the bias floor']
+        >>> figure.get_suptitle()
+        "median time (s) to stay within 10' of the bias floor"
     """
     table, keys = to_arrow_table(runs), to_key_list(by)
     if not table.num_rows:

@@ -6,7 +6,6 @@ Every user mistake raises `InputError` with one line that names the file and the
 
 from pathlib import Path
 
-from sinsjax.errors import InputError
 from sinsjax.records.arrays import record_from_arrays
 from sinsjax.records.layout import (
     ACCEL_UNITS,
@@ -18,44 +17,42 @@ from sinsjax.records.layout import (
     check_layout,
     require_span,
 )
-from sinsjax.records.psins import read_psins, write_psins
+from sinsjax.records.psins import read_psins
+from sinsjax.records.reader import open_parquet, open_text
 from sinsjax.records.reference import Reference, read_reference
-from sinsjax.records.tabular import read_csv, read_parquet, write_csv, write_parquet
+from sinsjax.records.tabular import record_from_table
 
 __all__ = [
     "ACCEL_UNITS",
     "GYRO_UNITS",
     "PSINS_LAYOUT",
     "TIME_UNITS",
-    "RecordLayout",
     "Record",
+    "RecordLayout",
     "Reference",
     "check_layout",
-    "read_csv",
-    "read_parquet",
     "read_psins",
     "read_record",
-    "record_from_arrays",
     "read_reference",
+    "record_from_arrays",
     "require_span",
-    "write_csv",
-    "write_parquet",
-    "write_psins",
 ]
-
-_READERS = {"psins": read_psins, "csv": read_csv, "parquet": read_parquet}
 
 
 def read_record(path: str | Path, layout: RecordLayout) -> Record:
-    """Read a record in the layout's format.
+    r"""Read a record in the layout's format: "psins", "csv" (delimited text) or "parquet".
 
     Examples:
-        >>> from sinsjax.records import PSINS_LAYOUT, write_psins
-        >>> write_psins(sinsjax.simulated_record("paper1_resets"), "car.imu")
-        >>> sinsjax.read_record("car.imu", PSINS_LAYOUT).dv.shape  # m/s per sample
-        (90000, 3)
+        >>> from pathlib import Path
+        >>> from sinsjax.records import RecordLayout
+        >>> _ = Path("log.csv").write_text("gx,gy,gz,ax,ay,az\n" + 200 * "0,0,0,0,0,0.098\n")
+        >>> columns = {"gyro_columns": ("gx", "gy", "gz"), "accel_columns": ("ax", "ay", "az")}
+        >>> sinsjax.read_record("log.csv", RecordLayout("csv", **columns, rate_hz=100.0)).dv.shape
+        (200, 3)
     """
-    if layout.format not in _READERS:
-        known = ", ".join(_READERS)
-        raise InputError(f"{path}: format: {layout.format!r} is not one of {known}")
-    return _READERS[layout.format](path, layout)
+    if layout.format == "psins":
+        return read_psins(path, layout)
+    check_layout(layout, str(path))
+    if layout.format == "parquet":
+        return record_from_table(layout, open_parquet(path))
+    return record_from_table(layout, open_text(path, layout.columns, layout.skip_rows))

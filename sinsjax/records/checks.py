@@ -1,8 +1,8 @@
 """Checks of a record before its alignment: its samples, and its mean force and rate at rest.
 
 Apart from sensor biases, the mean specific force of a base that stays is gravity, and the vertical
-drifts by the horizontal Earth rate in the frame that its gyros carry, even if the base sways or is
-turned about the vertical. Gyros that do not show that rate cannot find north, whatever the reason.
+drifts by the horizontal Earth rate in the frame that its gyros carry, even if the base sways. Gyros
+that do not show that rate cannot find north, whatever the reason.
 """
 
 import math
@@ -20,7 +20,7 @@ from sinsjax.records.layout import (
     find_spans,
     rate_factor,
 )
-from sinsjax.records.motion import EARTH_RATE, Means, compute_means, white_noise
+from sinsjax.records.motion import Motion, measure_motion, white_noise
 from sinsjax.units import DEG, DEG_PER_H, DEG_PER_SQRT_H, STANDARD_GRAVITY, micro_g
 
 GYRO_BIAS, ACCEL_BIAS_UG = 10.0 * DEG_PER_H, 5000.0
@@ -29,13 +29,11 @@ GYRO_BIAS, ACCEL_BIAS_UG = 10.0 * DEG_PER_H, 5000.0
 LOW_NOISE_GYRO_BIAS = 4.5 * DEG_PER_H
 """The same for gyros with little noise at rest, 0.3 of Earth rate: their scale is rather wrong."""
 
-_NEAR_GRAVITY = 0.1  # relative: accelerometers are better
+_NEAR_GRAVITY = 0.018  # relative: cm/s^2 would be mg with 0.0193
 _MAX_G, _MAX_DEG_PER_S = 20.0, 1000.0  # swaying bases and cars stay far below
 _MAX_REPORTED = 6  # anomalies, in messages
-_REMOVED_SHARE = 0.01  # of Earth rate, in every gyro: biases do not cancel it so well in all three
 _STUCK_S = 1.0  # of all six channels: a single coarse one may repeat for long
 _LOW_NOISE = 0.1 * DEG_PER_SQRT_H  # of gyros that are no MEMS
-_NOISE_SAMPLES = 2**17  # enough for a median
 _BIAS_PER_ARW = 10.0  # 1/sqrt(h), of a usual gyro, whose bias hides a wrong latitude
 _CERTAIN_FACTOR = 9.5  # of a rejected mean: below 10, to detect g taken for m/s^2 (9.8)
 _MAX_PARKED_TURN = 1.0 * DEG
@@ -43,8 +41,6 @@ _SHORT_S = 20.0  # contains few sways
 _MIN_RESOLVED = 0.99  # of gravity, when the gyros follow the sways
 _MAX_TILT = 45 * DEG
 _MIRRORED = 0.3  # relative difference from the opposite of the vertical Earth rate
-_MIN_TURN = 20 * DEG  # beyond the turn of the Earth and of a bias
-_BIAS_SHARE = 0.3  # of the largest bias, which may change between turns
 
 
 class StationaryValues(NamedTuple):
@@ -83,54 +79,35 @@ def find_anomalies(
     rate_hz: float,
     row_number: Callable[[int], int],
 ) -> tuple[Finding, ...]:
-    """Return samples out of range, removed Earth rate, and channels that are stuck.
+    """Return samples out of range, and channels that are stuck.
 
-    They are found while a file is read, since only then its rows are known. Values (T, 6) are those
-    of three gyros, then of three accelerometers; factors (6,) convert them to rad/s or m/s^2.
+    Values (T, 6) are those of gyros, then of accelerometers; factors (6,) make them rad/s or m/s^2.
     """
     count, found = len(values), list[Finding]()
-
-    def rows(begin: int, end: int) -> str:
-        first, last = row_number(begin), row_number(end - 1)
-        return f"row {first}" if first == last else f"rows {first} to {last}"
-
-    for channel, (name, factor) in enumerate(zip(names, factors, strict=True)):
-        unit, word, limit = DEG, "deg/s", _MAX_DEG_PER_S
-        if channel >= 3:
-            unit, word, limit = STANDARD_GRAVITY, "g", _MAX_G
-        sizes = np.abs(values[:, channel]) * (abs(factor) / unit)
-        if np.nanmedian(sizes) > 0.1 * limit:
+    limits = [(DEG, "deg/s", _MAX_DEG_PER_S)] * 3 + [(STANDARD_GRAVITY, "g", _MAX_G)] * 3
+    for name, column, factor, limit in zip(names, values.T, factors, limits, strict=True):
+        unit, word, largest = limit
+        sizes = np.abs(column) * (abs(factor) / unit)
+        if np.nanmedian(sizes) > 0.1 * largest:
             continue  # if most are large, the unit is wrong, which the mean reveals
-        for begin, end in find_spans(sizes > limit):
-            value = values[begin, channel]
-            text = (
-                f"{rows(begin, end)}: column {name!r}: {value:.6g} is"
-                f" {value * factor / unit:.4g} {word}, and no base at rest has more than"
-                f" {limit:g} {word}: leave such cells empty, as missing samples"
-            )
-            found.append(Finding(True, text, begin=begin, end=end))
-    constant = (values == values[0]).all(axis=0)
-    means = np.abs(np.nanmean(values[:, :3], axis=0) * factors[:3])
-    if not constant[:3].any() and means.max() < _REMOVED_SHARE * EARTH_RATE:
-        # Only the mean over the whole log shows it; that of a part depends on its sways.
-        text = "the mean of each gyro over the whole log is below 1% of Earth rate: has Earth rate"
-        found.append(Finding(False, f"{text} been removed?", True, 0, count))
+        for begin, end in find_spans(sizes > largest):
+            rows = f"rows {row_number(begin)} to {row_number(end - 1)}: column {name!r}"
+            size = f"{column[begin]:.6g} is {column[begin] * factor / unit:.4g} {word}"
+            text = f"{rows}: {size}, and no base at rest has more than {largest:g} {word}"
+            hint = "leave such cells empty, as missing samples"
+            found.append(Finding(True, f"{text}: {hint}", begin=begin, end=end))
     if count < (stuck := max(2, round(_STUCK_S * rate_hz))):
         return tuple(found)
-    if constant.all():
-        text = "no channel changes in any row: is this a log of sensors?"
-        return (*found, Finding(False, text, begin=0, end=count))
-    for channel in np.flatnonzero(constant).tolist():
-        value = f"{values[0, channel]:.6g}"
-        text = f"column {names[channel]!r} is {value} in every row: is that sensor dead?"
+    constant = (values == values[0]).all(axis=0)
+    if dead := ", ".join(repr(names[channel]) for channel in np.flatnonzero(constant).tolist()):
+        text = f"constant in every row: column {dead}: is this sensor dead?"
         found.append(Finding(False, text, begin=0, end=count))
     for begin, last in find_spans((values[1:] == values[:-1]).all(axis=1)):
-        if last + 1 - begin >= stuck:
-            text = (
-                f"{rows(begin, last + 1)}: all six channels are stuck for"
-                f" {(last + 1 - begin) / rate_hz:.3g} s: did the sensor or the logger stop?"
-            )
-            found.append(Finding(False, text, begin=begin, end=last + 1))
+        if last + 1 - begin >= stuck and not constant.all():
+            rows = f"rows {row_number(begin)} to {row_number(last)}"
+            text = f"all six channels are stuck for {(last + 1 - begin) / rate_hz:.3g} s"
+            hint = "did the sensor or the logger stop?"
+            found.append(Finding(False, f"{rows}: {text}: {hint}", begin=begin, end=last + 1))
     return tuple(found)
 
 
@@ -139,9 +116,7 @@ def report_anomalies(
 ) -> list[Finding]:
     """Return the first anomalies in spans of samples (from, to before), certain ones first."""
     relevant = [
-        anomaly
-        for anomaly in anomalies
-        if any(anomaly.begin < end and anomaly.end > begin for begin, end in spans)
+        a for a in anomalies if any(a.begin < end and a.end > begin for begin, end in spans)
     ]
     return sorted(relevant, key=lambda anomaly: not anomaly.is_certain)[:_MAX_REPORTED]
 
@@ -157,11 +132,11 @@ def check_stationary(
     The span is at least a second long and lacks no sample. The layout that the record was read with
     suggests causes.
     """
-    means = compute_means(record, span, expected.gravity)
-    noise = white_noise(record.dtheta[span[0] : span[1]][:_NOISE_SAMPLES], record.rate_hz)
+    motion = measure_motion(record, span, expected.gravity)
+    noise = white_noise(record.dtheta[slice(*span)], record.rate_hz)
     return [
-        *_check_force(means, layout, record.rate_hz, expected),
-        *_check_gyros(means, expected, noise),
+        *_check_force(motion, layout, record.rate_hz, expected),
+        *_check_gyros(motion, expected, noise),
     ]
 
 
@@ -174,91 +149,61 @@ def gravity_units(magnitude: float, rate_hz: float = math.nan) -> list[str]:
 
 
 def _check_force(
-    means: Means, layout: RecordLayout, rate_hz: float, expected: StationaryValues
+    motion: Motion, layout: RecordLayout, rate_hz: float, expected: StationaryValues
 ) -> Iterator[Finding]:
-    ratio = means.force_magnitude / expected.gravity
+    ratio = motion.force_magnitude / expected.gravity
     if abs(ratio - 1) * expected.gravity > expected.accel_bias:
         is_certain = not 1 / _CERTAIN_FACTOR < ratio < _CERTAIN_FACTOR
         bias = abs(ratio - 1) * expected.gravity / micro_g()
         cause = f"an accelerometer bias of {bias:.2g} ug or more would explain it"
         if is_certain:
             cause = "has gravity been removed, or is the accelerometer scale wrong?"
-        magnitude = means.force_magnitude / rate_factor(layout.accel_unit, rate_hz)
+        magnitude = motion.force_magnitude / rate_factor(layout.accel_unit, rate_hz)
         units = [] if layout.format == "psins" else gravity_units(magnitude, rate_hz)
         if units and layout.accel_unit not in units:
             cause = f"are these {units[0]}?"
-        text = f"the mean specific force is {means.force_magnitude:.5g} m/s^2, {ratio:.3g} times"
+        text = f"the mean specific force is {motion.force_magnitude:.5g} m/s^2, {ratio:.3g} times"
         yield Finding(is_certain, f"{text} gravity: {cause}")
-    length = float(np.linalg.norm(means.force)) or 1.0
-    tilt = math.acos(max(-1.0, min(1.0, means.force[2] / length)))
-    if tilt > 90 * DEG:
-        text = f"the specific force points down, {tilt / DEG:.3g} deg from the up axis: are"
-        hint = " the axes ('yx-z' for front-right-down) and signs of the accelerometers right?"
-        yield Finding(True, text + hint)
-    elif tilt > _MAX_TILT:
-        yield Finding(False, f"the up axis is tilted by {tilt / DEG:.3g} deg: are the axes right?")
+    length = float(np.linalg.norm(motion.force)) or 1.0
+    tilt = math.acos(max(-1.0, min(1.0, motion.force[2] / length)))
+    if tilt > _MAX_TILT:
+        points = "points down" if tilt > 90 * DEG else "is tilted"
+        text = f"the specific force {points}, {tilt / DEG:.3g} deg from the up axis: are the axes"
+        hint = f"{text} ('yx-z' for front-right-down) and signs of the accelerometers right?"
+        yield Finding(tilt > 90 * DEG, hint)
 
 
-def finds_north_by_turns(means: Means, expected: StationaryValues) -> bool:
-    """Return whether the gyros of a turning base sense the horizontal Earth rate."""
-    turns, horizontal = means.turns, expected.horizontal_rate
-    if turns is None or turns.accel_bias * expected.gravity > expected.accel_bias:
-        return False
-    allowed = _BIAS_SHARE * expected.gyro_bias + turns.drift_uncertainty
-    is_measured = turns.drift_uncertainty <= horizontal / 5
-    return is_measured and abs(turns.drift - horizontal) <= allowed
+def _check_gyros(motion: Motion, expected: StationaryValues, noise: float) -> Iterator[Finding]:
+    """Compare the mean rate with Earth rate, unless the base is turned."""
+    if motion.is_turned:
+        text = f"by its gyros the base turns by {motion.turn / DEG:.3g} deg"
+        yield Finding(False, f"{text}, so whether they find north is not checked")
+    elif not (hidden := _describe_hidden_north(motion, expected)):
+        yield from _check_rate(motion, expected, noise)
+    elif motion.tilt_change > _MAX_PARKED_TURN:
+        angle = motion.tilt_change / DEG
+        yield Finding(True, f"the vertical moves by {angle:.3g} deg in the body, and {hidden}")
+    else:
+        yield Finding(False, f"{hidden}: no heading can be found", hides_north=True)
 
 
-def _check_gyros(means: Means, expected: StationaryValues, noise: float) -> list[Finding]:
-    """Return the finding about the gyros, if any.
-
-    Earth rate in the body axes shows nothing if the base is turned, which its turns make up for.
-    """
-    turns, parked_turn = means.turns, (expected.earth_rate + expected.gyro_bias) * means.length_s
-    hidden = _describe_hidden_north(means, expected)
-    if turns is not None and (hidden or turns.angle > _MIN_TURN + parked_turn):
-        turned = f"by its gyros the base turns by {turns.angle / DEG:.3g} deg, and"
-        if finds_north_by_turns(means, expected):
-            if turns.gyro_bias <= expected.gyro_bias:
-                return []
-            bias = f"a gyro bias of {turns.gyro_bias / DEG_PER_H:.3g} deg/h or more"
-            text = f"{turned} {bias} would explain the record: are the signs and axes of the gyros"
-            return [Finding(False, f"{text} right?")]
-        is_measured = turns.drift_uncertainty <= expected.horizontal_rate / 5
-        is_wrong = is_measured or turns.accel_bias * expected.gravity > expected.accel_bias
-        if not hidden and not is_wrong:
-            return [Finding(False, f"{turned} whether its gyros find north cannot be determined")]
-        hidden = hidden or (
-            f"{turned} in the frame of its gyros the vertical drifts by"
-            f" {turns.drift / DEG_PER_H:.3g} deg/h, and not by the horizontal Earth rate of"
-            f" {expected.horizontal_rate / DEG_PER_H:.3g}: are unit, axes and signs right?"
-        )
-    if not hidden:
-        return [*_check_rate(means, expected, noise)]
-    if means.tilt_change > _MAX_PARKED_TURN:
-        angle = means.tilt_change / DEG
-        return [Finding(True, f"the vertical moves by {angle:.3g} deg in the body, and {hidden}")]
-    return [Finding(False, f"{hidden}: no heading can be found", hides_north=True)]
-
-
-def _describe_hidden_north(means: Means, expected: StationaryValues) -> str:
+def _describe_hidden_north(motion: Motion, expected: StationaryValues) -> str:
     """Return why the gyros show no Earth rate; "" if they may."""
     earth, horizontal = expected.earth_rate, expected.horizontal_rate
-    magnitude, vertical = max(means.magnitude, 1e-300), earth * math.sin(expected.latitude)
-    turned_square = ((earth + expected.gyro_bias) * means.length_s) ** 2
-    if abs(means.vertical_drift - horizontal) - means.drift_uncertainty >= horizontal:
+    magnitude, vertical = max(motion.magnitude, 1e-300), earth * math.sin(expected.latitude)
+    opposite, uncertainty = motion.vertical_rate + vertical, motion.vertical_uncertainty
+    turned_square = ((earth + expected.gyro_bias) * motion.length_s) ** 2
+    if abs(motion.drift - horizontal) - motion.drift_uncertainty >= horizontal:
         bias = abs(magnitude - earth) / DEG_PER_H
         cause = f"a gyro bias of {bias:.3g} deg/h or more, or a wrong unit, hides Earth rate"
     elif (
-        means.vertical_drift + means.drift_uncertainty < horizontal / 2
-        or magnitude + means.vertical_uncertainty < earth / _CERTAIN_FACTOR
+        motion.drift + motion.drift_uncertainty < horizontal / 2
+        or magnitude + uncertainty < earth / _CERTAIN_FACTOR
     ):
         cause = "has Earth rate been removed, or are the gyros' unit, axes or signs wrong?"
-    elif means.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
+    elif motion.resolved_ratio < _MIN_RESOLVED - turned_square / 8:
         cause = "the gyros do not follow the vertical: are their unit, axes and signs right?"
-    elif abs(means.vertical_rate + vertical) + means.vertical_uncertainty < _MIRRORED * abs(
-        vertical
-    ):
+    elif abs(opposite) + uncertainty < _MIRRORED * abs(vertical):
         cause = "its vertical part has the wrong sign: are the gyros' axes and the latitude right?"
     else:
         return ""
@@ -266,52 +211,41 @@ def _describe_hidden_north(means: Means, expected: StationaryValues) -> str:
     return f"the mean rate is {ratio}: {cause}"
 
 
-def _check_rate(means: Means, expected: StationaryValues, noise: float) -> Iterator[Finding]:
+def _check_rate(motion: Motion, expected: StationaryValues, noise: float) -> Iterator[Finding]:
     """Compare the mean rate of gyros that may find north, and its vertical part, with Earth's."""
-    earth, uncertainty = expected.earth_rate, means.vertical_uncertainty + means.drift_uncertainty
-    plausible = earth + expected.gyro_bias
+    earth, uncertainty = expected.earth_rate, motion.vertical_uncertainty + motion.drift_uncertainty
+    largest_drift = motion.drift + motion.drift_uncertainty
     if (
-        means.vertical_drift + means.drift_uncertainty > plausible
-        and means.drift_uncertainty > expected.horizontal_rate / 2
+        motion.drift_uncertainty > expected.horizontal_rate / 2
+        and largest_drift > earth + expected.gyro_bias
     ):
-        text = (
-            "whether these gyros find north cannot be determined: in their frame the vertical"
-            f" drifts by {means.vertical_drift / DEG_PER_H:.3g} deg/h, give or take"
-            f" {means.drift_uncertainty / DEG_PER_H:.3g}"
-        )
-        yield Finding(False, text)
+        drift = f"up to {largest_drift / DEG_PER_H:.3g} deg/h"
+        text = f"in the frame of its gyros the vertical drifts by {drift}"
+        yield Finding(False, f"{text}: whether they find north cannot be determined")
         return
-    if means.turn_angle > _MAX_PARKED_TURN:
-        text = (
-            f"the base turns by about {means.turn_angle / DEG:.3g} deg within the span used: the"
-            " attitude at its end differs from that at its start"
-        )
-        yield Finding(False, text)
+    if (turn := motion.uneven_turn - motion.sway) > _MAX_PARKED_TURN:
+        text = f"the base turns by about {turn / DEG:.3g} deg within the span used"
+        yield Finding(False, f"{text}: the attitude at its end differs from that at its start")
         return
-    if means.length_s < _SHORT_S:
+    if motion.length_s < _SHORT_S:
         return
     is_quiet = noise < _LOW_NOISE and uncertainty < 0.1 * earth
     is_usual = expected.gyro_bias_deg_per_h is None
     largest = LOW_NOISE_GYRO_BIAS if is_quiet and is_usual else expected.gyro_bias
-    up_bias = means.vertical_rate - earth * math.sin(expected.latitude)
-    bias = math.hypot(up_bias, means.vertical_drift - expected.horizontal_rate)
+    up_bias = motion.vertical_rate - earth * math.sin(expected.latitude)
+    bias = math.hypot(up_bias, motion.drift - expected.horizontal_rate)
     # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
-    off_earth = abs(means.magnitude - earth)
+    off_earth = abs(motion.magnitude - earth)
     sigma = math.hypot(uncertainty / 3, off_earth, _BIAS_PER_ARW * noise / 60) / earth
-    measured = (
-        f"the mean rate is {means.magnitude / DEG_PER_H:.3g} deg/h,"
-        f" {means.magnitude / earth:.3g} times Earth rate, of a latitude of"
-        f" {means.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}"
-    )
-    if bias > largest + uncertainty:
+    is_elsewhere = is_quiet and abs(motion.latitude - expected.latitude) > 5 * sigma
+    if bias > largest + uncertainty or is_elsewhere:
         accepted = math.ceil(10 * bias / DEG_PER_H) / 10
         text = (
-            f"{measured}: are the gyros' unit and scale, their axes and the latitude right, or is"
-            f" there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
-            f" gyro_bias_deg_per_h = {accepted:g} if so)? The heading cannot be trusted, nor pitch"
-            " and roll of 'inertial' or 'optimisation' ('level' finds these)"
+            f"the mean rate is {motion.magnitude / DEG_PER_H:.3g} deg/h,"
+            f" {motion.magnitude / earth:.3g} times Earth rate, of a latitude of"
+            f" {motion.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}, and not"
+            f" {expected.latitude / DEG:.6g}: are latitude_deg and the gyros' unit and scale right,"
+            f" or is there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
+            f" gyro_bias_deg_per_h = {accepted:g} if so)? Only the method 'level' is not affected"
         )
         yield Finding(False, text)
-    elif is_quiet and abs(means.latitude - expected.latitude) > 5 * sigma:
-        given = f"{expected.latitude / DEG:.6g}"
-        yield Finding(False, f"{measured}, and not {given}: is [earth] latitude_deg right?")

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,21 +28,15 @@ ACCEL_UNITS = {
 }
 """Factors to m/s or m/s^2, by quantity and unit name; g is the standard gravity."""
 
-_FACTORS = {
-    **GYRO_UNITS[INCREMENTS],
-    **GYRO_UNITS[RATES],
-    **ACCEL_UNITS[INCREMENTS],
-    **ACCEL_UNITS[RATES],
-}
+_TABLES = (*GYRO_UNITS.values(), *ACCEL_UNITS.values())
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
-"""Factors to s, by unit name; ISO dates are read as seconds since 1970."""
+"""Factors to s, by unit name; dates with time are read as seconds since 1970."""
 
 NAMED_AXES = {"rfu": "xyz", "frd": "yx-z", "flu": "-yxz"}
 """Orders of axes by the directions of x, y and z: right, front, left, up or down."""
 
-# Clocks deviate this far from their nominal rate; a larger difference is a wrong rate.
-_RATE_TOLERANCE = 1e-4
+_RATE_TOLERANCE = 1e-4  # relative deviation of clocks from their nominal rate
 
 
 class Flaw(NamedTuple):
@@ -64,52 +58,32 @@ class Finding(NamedTuple):
 
 
 class Record(NamedTuple):
-    """An inertial record of T samples, b = right-front-up.
+    """An inertial record of T samples, b = right-front-up."""
 
-    Attributes:
-        dtheta: (T, 3) rotation increments over each sample, rad.
-        dv: (T, 3) specific-force increments over each sample, m/s.
-        rate_hz: sample rate, Hz.
-        t0_s: time at which the first sample begins; sample k ends at t0_s + (k + 1) / rate_hz.
-        latitude_deg: geodetic latitude from the file's header, or None.
-        height_m: height from the file's header, or None.
-        attitude_deg: pitch, roll and yaw (counter-clockwise from north) exactly as in the file's
-            header, or None.
-        gravity_m_per_s2: the g that scales the file's specific force, or None.
-        source: the file's name, for messages.
-        flaws: missing samples, which are nan in dtheta and dv.
-        filled: number of missing samples that were interpolated.
-        layout: of arrays, for messages; None for a file, whose layout is in the study.
-        anomalies: samples that are impossible for a base at rest.
-        remarks: what was left out or assumed while the file was read, one line each.
-    """
-
-    dtheta: FloatArray
-    dv: FloatArray
+    dtheta: FloatArray  # (T, 3) rotation increments over each sample, rad
+    dv: FloatArray  # (T, 3) specific-force increments over each sample, m/s
     rate_hz: float
-    t0_s: float = 0.0
-    latitude_deg: float | None = None
+    t0_s: float = 0.0  # begin of the first sample; sample k ends at t0_s + (k + 1) / rate_hz
+    latitude_deg: float | None = None  # geodetic, from the file's header; so are the next three
     height_m: float | None = None
-    attitude_deg: tuple[float, float, float] | None = None
-    gravity_m_per_s2: float | None = None
-    source: str = "record"
-    flaws: tuple[Flaw, ...] = ()
-    filled: int = 0
-    layout: "RecordLayout | None" = None
-    anomalies: tuple[Finding, ...] = ()
-    remarks: tuple[str, ...] = ()
+    attitude_deg: tuple[float, float, float] | None = None  # pitch, roll, counter-clockwise yaw
+    gravity_m_per_s2: float | None = None  # the g that scales the file's specific force
+    source: str = "record"  # the file's name, for messages
+    flaws: tuple[Flaw, ...] = ()  # missing samples, which are nan in dtheta and dv
+    filled: int = 0  # number of missing samples that were interpolated
+    layout: "RecordLayout | None" = None  # of arrays, for messages; that of a file is in the study
+    anomalies: tuple[Finding, ...] = ()  # samples that are impossible for a base at rest
+    remarks: tuple[str, ...] = ()  # what was left out or assumed while the file was read
 
 
 class RecordLayout(NamedTuple):
     """Which column of a file is what, in which unit, on which axis, and at what time.
 
     The fields are keys of a study's ``[record]`` section (``sinsjax keys record``), with the sample
-    rate. Increments are over each sample, rates averaged over it, stamps at its end. ``format`` may
-    be "arrays" for arrays in memory; PSINS text uses only axes_order, mounting_deg and rate_hz.
-    Columns of sensors are in the record's own x, y, z; scales multiply them, in their unit.
-    ``axes_order`` names the record's axes that point right, front and up: "y-xz" means that right
-    is +y of the record, front is -x and up is +z; or is a name of `NAMED_AXES`. ``mounting_deg`` is
-    the attitude of these axes in the vehicle. "" is no column of times, None a rate from the file.
+    rate. Increments are over each sample, rates averaged over it, stamps at its end. PSINS text
+    uses only axes_order, mounting_deg and rate_hz. ``axes_order`` names the record's axes that
+    point right, front and up: "y-xz" means that right is +y of the record, front is -x and up is
+    +z; or is a name of `NAMED_AXES`. "" is no column of times, None a rate from the file.
     """
 
     format: str
@@ -179,35 +153,30 @@ def find_faults(layout: RecordLayout) -> Iterator[tuple[str, str]]:
         yield "axes_order", str(error)
     if layout.format == "psins":
         return
-    for key, units in (
-        ("gyro_unit", GYRO_UNITS[INCREMENTS] | GYRO_UNITS[RATES]),
-        ("accel_unit", ACCEL_UNITS[INCREMENTS] | ACCEL_UNITS[RATES]),
-        ("time_unit", TIME_UNITS),
-        ("time_fraction_unit", TIME_UNITS),
-    ):
-        if getattr(layout, key) not in units:
-            yield key, f"{getattr(layout, key)!r} is not one of {', '.join(units)}"
-    key_by_column: dict[str, str] = {}
-    for key in ("time_column", "time_fraction_column", "gyro_columns", "accel_columns"):
-        names = getattr(layout, key)
-        if isinstance(names, str):
-            names = (names,) if names else ()
-        elif len(names) != 3 or not all(names):
-            yield key, f"must name three columns, not {len([*filter(None, names)])}"
-        for name in names:
-            if name in key_by_column:
-                yield key, f"column {name!r} is already used in {key_by_column[name]}"
-            if layout.columns and name not in layout.columns:
-                yield key, f"column {name!r} is not in columns"
-            key_by_column[name] = key
-    for key in ("gyro_scale", "accel_scale", "time_scale"):
-        if not all(math.isfinite(f) and f for f in np.atleast_1d(getattr(layout, key)).tolist()):
-            yield key, "must be finite and not 0"
-    for key, (columns, _, scale) in zip(("gyro", "accel"), layout.sensors, strict=True):
-        for name, factor in zip(columns, scale, strict=True):
+    gyro_units, accel_units = ({**u[INCREMENTS], **u[RATES]} for u in (GYRO_UNITS, ACCEL_UNITS))
+    units = {"gyro_unit": gyro_units, "accel_unit": accel_units, "time_unit": TIME_UNITS}
+    for key, known in (units | {"time_fraction_unit": TIME_UNITS}).items():
+        if getattr(layout, key) not in known:
+            yield key, f"{getattr(layout, key)!r} is not one of {', '.join(known)}"
+    taken = list(layout.time_columns)
+    for sensor, (columns, _, scale) in zip(("gyro", "accel"), layout.sensors, strict=True):
+        if len(columns) != 3 or not all(columns):
+            yield (
+                f"{sensor}_columns",
+                f"must name three columns, not {len([*filter(None, columns)])}",
+            )
+        for name, factor in zip(columns, scale, strict=False):
+            if name in taken:
+                yield f"{sensor}_columns", f"column {name!r} is named twice"
             if factor > 0 and re.search(r"(^|[_.\s])(neg(ative)?|minus)([_.\s]|$)", name, re.I):
-                text = f"column {name!r} has a minus in its name: give it a negative {key}_scale"
-                yield f"{key}_columns", f"{text} (or name the column otherwise)"
+                text = f"column {name!r} has a minus in its name: give it a negative {sensor}_scale"
+                yield f"{sensor}_columns", f"{text} (or name the column otherwise)"
+            taken.append(name)
+        if not all(math.isfinite(factor) and factor for factor in scale):
+            yield f"{sensor}_scale", "must be finite and not 0"
+    for name in taken if layout.columns else ():
+        if name not in layout.columns:
+            yield "columns", f"lacks column {name!r}"
     if not layout.time_column and layout.rate_hz is None:
         yield "rate_hz", "required without a time_column"
 
@@ -219,7 +188,7 @@ def is_rate(unit: str) -> bool:
 
 def unit_factor(unit: str) -> float:
     """Return the factor of a unit of gyros or accelerometers to SI."""
-    return _FACTORS[unit]
+    return next(units[unit] for units in _TABLES if unit in units)
 
 
 def rate_factor(unit: str, rate_hz: float) -> float:
@@ -237,10 +206,8 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     terms = re.findall(r"([+-]?)([xyz])", order)
     names = [name for _, name in terms]
     if "".join(sign + name for sign, name in terms) != order or sorted(names) != list("xyz"):
-        known = ", ".join(map(repr, NAMED_AXES))
-        raise ValueError(
-            f"{order!r} is not a signed permutation of xyz, such as 'y-xz', or {known}"
-        )
+        text = "is not a signed permutation of xyz, such as 'y-xz', or 'rfu', 'frd' or 'flu'"
+        raise ValueError(f"{order!r} {text}")
     index = ["xyz".index(name) for name in names]
     signs = np.array([-1.0 if sign == "-" else 1.0 for sign, _ in terms])
     if np.linalg.det(signs[:, None] * np.eye(3)[index]) < 0:
@@ -248,23 +215,15 @@ def parse_axes_order(order: str) -> tuple[list[int], FloatArray]:
     return index, signs
 
 
-def mounting_matrix(mounting_deg: Sequence[float]) -> FloatArray:
-    """Return the rotation (3, 3) from the axes of the box to those of the vehicle.
-
-    The attitude of the box is in the order of `Record.attitude_deg`, C = Rz(yaw) Rx(pitch)
-    Ry(roll).
-    """
-    (cp, cr, cy), (sp, sr, sy) = (f(np.multiply(mounting_deg, DEG)) for f in (np.cos, np.sin))
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
-    about_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
-    return np.asarray(about_z @ about_x @ about_y)
-
-
 def to_vehicle_axes(values: FloatArray, layout: RecordLayout) -> FloatArray:
     """Transform (T, 3) vectors from a record's axes to those of the vehicle, right-front-up."""
-    values, mounting = to_body_axes(values, layout.axes_order), layout.mounting_deg
-    return values @ mounting_matrix(mounting).T if any(mounting) else values
+    values, (pitch, roll, yaw) = to_body_axes(values, layout.axes_order), layout.mounting_deg
+    if not any(layout.mounting_deg):
+        return values
+    from scipy.spatial.transform import Rotation  # half the import time of sinsjax
+
+    mounting = Rotation.from_euler("ZXY", [yaw, pitch, roll], degrees=True)
+    return np.asarray(mounting.apply(values))
 
 
 def to_body_axes(values: FloatArray, order: str) -> FloatArray:
@@ -273,20 +232,13 @@ def to_body_axes(values: FloatArray, order: str) -> FloatArray:
     return values[:, index] * signs
 
 
-def from_body_axes(values: FloatArray, order: str) -> FloatArray:
-    """Transform (T, 3) vectors from right-front-up to the record's axes; exact."""
-    index, signs = parse_axes_order(order)
-    return (values * signs)[:, np.argsort(index)]
-
-
 def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, source: str) -> float:
     """Return the sample rate of the layout, or else that of the file, Hz.
 
-    A rate from the file is rounded to 12 digits, so that an interval of 0.01 s means 100 Hz. It may
-    differ from the layout's by ``uncertainty``, relative, and the 1e-4 of a clock; otherwise the
-    error begins with the source.
+    The two may differ by an uncertainty, relative, and the 1e-4 of a clock; otherwise the error
+    begins with the source.
     """
-    file_hz = float(f"{file_hz:.12g}")
+    file_hz = float(f"{file_hz:.12g}")  # so that an interval of 0.01 s means 100 Hz
     if layout.rate_hz is None:
         return file_hz
     if abs(file_hz / layout.rate_hz - 1) > _RATE_TOLERANCE + uncertainty:
@@ -295,10 +247,7 @@ def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, sourc
 
 
 def require_span(record: Record, start_s: float, needed_s: float, breakdown: str = "") -> None:
-    """Reject a record that does not cover a time span from its beginning, or lacks samples in it.
-
-    ``breakdown`` is the composition of the needed length as text, after a blank.
-    """
+    """Reject a record that does not cover a time span from its beginning, or lacks samples."""
     available_s, end_s = len(record.dtheta) / record.rate_hz, start_s + needed_s
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s < 0 or end_s > available_s + 1e-3 / record.rate_hz:

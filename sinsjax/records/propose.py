@@ -7,7 +7,7 @@ be answered before anything is aligned.
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
@@ -29,48 +29,34 @@ from sinsjax.records.layout import (
     to_body_axes,
 )
 from sinsjax.records.motion import EARTH_RATE
-from sinsjax.records.names import NO_UNIT, Triad, find_named_order, find_triads
+from sinsjax.records.names import Triad, find_named_orders, find_triads
 from sinsjax.records.reader import MIN_COLUMNS, Table
 from sinsjax.records.stamps import combine_times, find_sampling
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
 _SENSORS = {"gyro": "gyros", "accel": "accelerometers"}
-_STANDARDS = {
-    "ROS": ("angular_velocity", "linear_acceleration"),
-    "ArduPilot": ("GyrX", "AccX"),
-    "Sensor Logger": ("seconds_elapsed", "Gyroscope"),
-}
-"""Message standards with gyros in rad/s and forces in m/s^2, by what names contain."""
+_ROS = ("angular_velocity", "linear_acceleration")  # in rad/s and m/s^2
 _TAG = re.compile(r"gyr|acc|magn|baro|temp", re.IGNORECASE)
 _LABEL = re.compile(
     r"(?=.)(sensor|imu|device|node|unit|source|topic|message|msg)?[ _.]?(id|name|type|no)?",
     re.IGNORECASE,
 )
 """Names of columns that tell of which sensor a row is."""
+_HEAD_ROWS, _MAX_LABELS = 20, 5  # more are a count of the rows
 _NO_RATE = "increments show their unit once the sample rate is known"
-_MAX_LABELS = 5  # more are a count of the rows
 _TIME_NAME = re.compile(
-    r"time|stamp|epoch|clock|(^|[._\s])(t|tow|sow|utc|[mun]?secs?|(milli|micro|nano)?seconds?"
-    r"|(milli|micro|nano)sec)($|[\s_\[(])",
+    r"time|stamp|epoch|clock|(^|[._\s])(t|tow|sow|utc|[mun]?secs?|(milli|micro|nano)?sec(onds?)?)"
+    r"($|[\s_\[(])",
     re.IGNORECASE,
 )
-_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])(nano|micro|milli|[nmu])?s(?:ec(?:ond)?s?)?[\])\s]*$")
-_TIME_UNITS = {
-    None: "s",
-    "n": "ns",
-    "nano": "ns",
-    "u": "us",
-    "micro": "us",
-    "m": "ms",
-    "milli": "ms",
-}
+_TIME_UNIT = re.compile(r"(?:^|[\s_.\[(])([nmu]|nano|micro|milli)?s(?:ec(?:ond)?s?)?[\])\s]*$")
 _POSSIBLE_HZ = 0.5, 5000.0  # rates of IMUs
 _MIN_NEW = 0.8  # share of stamps that differ from the one before, among repeated rows
 
 
 @dataclass
 class Proposal:
-    """The layout of the record in a log, and what is not known of it, by key of the layout."""
+    """The layout of the record in a log, and what is not known of it, by key."""
 
     layout: RecordLayout  # open keys have values to examine the log with
     rate_hz: float = math.nan  # nan if it is an open question
@@ -94,16 +80,14 @@ def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
     _refuse_tagged_rows(table)
     proposal = Proposal(RecordLayout(table.format))
     triads = {sensor: _find_triad(table, sensor, answers, proposal) for sensor in _SENSORS}
-    names: dict[str, Any] = {
-        f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad
-    }
-    clock = _propose_clock(table, answers, [*chain.from_iterable(names.values())])
-    proposal.layout = proposal.layout._replace(**names, **clock.fields)
+    names = {f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad}
+    clock = _propose_clock(table, answers, {*chain(*names.values())})
+    fields: dict[str, Any] = {**names, **clock.fields}
+    proposal.layout = proposal.layout._replace(**fields)
     proposal.questions |= clock.questions
     proposal.rate_hz = answers.get("rate_hz", math.nan if clock.questions else clock.rate_hz)
-    gyro, accel = triads["gyro"], triads["accel"]
-    if gyro and accel:
-        _propose_sensors(table, gyro, accel, answers, proposal)
+    if len(names) == 2:
+        _propose_sensors(table, [*filter(None, triads.values())], answers, proposal)
     else:
         open_keys = ("gyro_unit", "accel_unit", "axes_order")
         proposal.questions |= dict.fromkeys(open_keys, "open until the columns are known")
@@ -117,8 +101,8 @@ def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
 
 def _refuse_tagged_rows(table: Table) -> None:
     """Refuse a file whose rows are of several sensors in turn."""
-    for name, cells in table.head.items():
-        labels = [*dict.fromkeys(filter(None, cells))]
+    for name, column in zip(table.names, table.data.columns, strict=True):
+        labels = [*dict.fromkeys(map(str, column[:_HEAD_ROWS].drop_null().to_pylist()))]
         tags = [cell for cell in labels if _TAG.search(cell)]
         if len(tags) < 2 and _LABEL.fullmatch(name) and len(labels) <= _MAX_LABELS:
             tags = labels
@@ -131,149 +115,124 @@ def _refuse_tagged_rows(table: Table) -> None:
 # Sensors
 
 
-def _read_means(table: Table, names: Iterable[str]) -> dict[str, float]:
-    """Return the means of columns, which are read at once; nan without a number."""
-    wanted = [*dict.fromkeys(names)]
-    good = (values[np.isfinite(values)] for values in table.read(wanted, blanks=True))
-    means = (float(values.mean()) if len(values) else math.nan for values in good)
-    return dict(zip(wanted, means, strict=True))
+def _read_means(table: Table, names: Sequence[str]) -> dict[str, float]:
+    """Return the means of columns; nan without a number."""
+    finite = (values[np.isfinite(values)] for values in table.read(names))
+    means = (float(values.mean()) if len(values) else math.nan for values in finite)
+    return dict(zip(names, means, strict=True))
 
 
 def _find_triad(
     table: Table, sensor: str, answers: Mapping[str, Any], proposal: Proposal
 ) -> Triad | None:
     """Return the columns of a sensor; None, and a question, if names do not tell."""
-    key, noun = f"{sensor}_columns", _SENSORS[sensor]
-    names = answers.get(key, table.names)
-    triads = find_triads(names, sensor, table.units)
+    key = f"{sensor}_columns"
+    triads = find_triads(answers.get(key, table.names), sensor, table.units)
     if key in answers:  # the user orders them, and their names state the unit
-        found = triads[0] if len(triads) == 1 else Triad(names, NO_UNIT, (1.0, 1.0, 1.0))
-        return found._replace(names=names, signs=(1.0, 1.0, 1.0), has_directions=False)
-    if len(triads) == 1 and not triads[0].in_navigation_frame:
+        found = triads[0] if len(triads) == 1 else Triad(())
+        return found._replace(names=tuple(answers[key]))
+    if len(triads) == 1:
         return triads[0]
-    numbers = [name for name, kind in table.kinds.items() if kind == "number"]
-    means = _read_means(table, [n for triad in triads for n in triad.names] or numbers)
-    if sensor == "accel" and len(triads) > 1:  # a phone writes it with and without gravity
-        heavy = [
-            triad for triad in triads
-            if gravity_units(math.hypot(*map(means.__getitem__, triad.names)) * triad.unit[1])
-        ]  # fmt: skip
-        if len(heavy) == 1 and not heavy[0].in_navigation_frame:
-            return heavy[0]
-    problem = f"no column is named as of {noun}"
+    problem = f"no three columns are named as x, y and z of {_SENSORS[sensor]}."
     if triads:
-        problem = f"which of these are the {noun} of one box, in its own axes?"
+        problem = f"which of these are the {_SENSORS[sensor]}, with gravity?"
+    numbers = [name for name, kind in table.kinds.items() if kind == "numbers"]
+    means = _read_means(table, [*chain(*(triad.names for triad in triads))] or numbers)
     shown = "; ".join(f"{name} {mean:.4g}" for name, mean in means.items())
-    proposal.questions[key] = f"{problem}. Means: {shorten(shown, 400)}"
+    proposal.questions[key] = f"{problem} Means: {shorten(shown, 400)}"
     return None
 
 
 def _propose_sensors(
-    table: Table, gyro: Triad, accel: Triad, answers: Mapping[str, Any], proposal: Proposal
+    table: Table, triads: Sequence[Triad], answers: Mapping[str, Any], proposal: Proposal
 ) -> None:
     """Propose units, scales and axes of both sensors, with reasons or questions."""
+    gyro, accel = triads
     means = _read_means(table, [*gyro.names, *accel.names])
-    vectors = dict[str, FloatArray]()
-    for sensor, triad in (("gyro", gyro), ("accel", accel)):
-        scale = answers.get(f"{sensor}_scale", tuple(s * triad.unit[1] for s in triad.signs))
-        proposal.layout = proposal.layout._replace(**{f"{sensor}_scale": scale})
-        vectors[sensor] = np.array([means[name] for name in triad.names]) * scale
-    force = float(np.linalg.norm(vectors["accel"]))
-    accel_unit = answers.get("accel_unit") or _accel_unit(accel, force, proposal)
-    rate = float(np.linalg.norm(vectors["gyro"]))
-    gyro_unit = answers.get("gyro_unit") or _gyro_unit(table, gyro, accel_unit, rate, proposal)
-    axes = _axes_order(table, gyro, accel, vectors["accel"] / (force or 1.0), proposal)
+    rate, force = (
+        np.array([means[name] for name in triad.names]) * answers.get(f"{sensor}_scale", 1.0)
+        for sensor, triad in zip(_SENSORS, triads, strict=True)
+    )
+    size = float(np.linalg.norm(force))
+    accel_unit = answers.get("accel_unit") or _accel_unit(accel, size, proposal)
+    of_rate = float(np.linalg.norm(rate))
+    gyro_unit = answers.get("gyro_unit") or _gyro_unit(table, gyro, accel_unit, of_rate, proposal)
+    texts = [*table.comments, *table.names, " ".join(gyro.names), " ".join(accel.names)]
+    axes = _axes_order(find_named_orders(texts), force / (size or 1.0), proposal)
     proposal.layout = proposal.layout._replace(
         gyro_unit=gyro_unit, accel_unit=accel_unit, axes_order=axes
     )
 
 
-def _accel_unit(accel: Triad, magnitude: float, proposal: Proposal) -> str:
+def _accel_unit(accel: Triad, size: float, proposal: Proposal) -> str:
     """Return the unit of the accelerometers by their names or by gravity, or a question."""
-    unit, are_rates, rate_hz = accel.unit[0], not accel.are_increments, proposal.rate_hz
+    unit, are_rates, rate_hz = accel.unit, not accel.are_increments, proposal.rate_hz
     if unit:
-        ratio = magnitude * rate_factor(unit, rate_hz) / STANDARD_GRAVITY
+        ratio = size * rate_factor(unit, rate_hz) / STANDARD_GRAVITY
         proposal.reasons["accel_unit"] = f"by the names; the mean is {ratio:.4g} times gravity"
         return unit
-    if found := [u for u in gravity_units(magnitude, rate_hz) if is_rate(u) == are_rates]:
-        reason = f"the mean has the magnitude of gravity, {magnitude:.5g}"
-        proposal.reasons["accel_unit"] = reason
+    if found := [u for u in gravity_units(size, rate_hz) if is_rate(u) == are_rates]:
+        proposal.reasons["accel_unit"] = f"the mean has the magnitude of gravity, {size:.5g}"
         return found[0]
-    unit = "g" if are_rates else "m_per_s"
-    if not are_rates and math.isnan(rate_hz):
-        proposal.questions["accel_unit"] = _NO_RATE
-        return unit
-    one = STANDARD_GRAVITY / (magnitude or 1.0) / rate_factor(unit, rate_hz)
-    proposal.questions["accel_scale"] = (
-        f"the mean of {', '.join(accel.names)} has a magnitude of {magnitude:.5g}, gravity in no"
-        f" unit: are these counts? {one:.4g} {unit} a count would be gravity"
-    )
-    return unit
+    counts = f"gravity in no unit: if these are counts, one is {1 / (size or 1.0):.4g} of gravity"
+    question = _NO_RATE if accel.are_increments and math.isnan(rate_hz) else counts
+    proposal.questions["accel_unit"] = f"the mean has a magnitude of {size:.5g}, {question}"
+    return "g" if are_rates else "m_per_s"
 
 
-def _gyro_unit(table: Table, gyro: Triad, accel_unit: str, mean: float, proposal: Proposal) -> str:
+def _gyro_unit(table: Table, gyro: Triad, accel_unit: str, size: float, proposal: Proposal) -> str:
     """Return the unit of the gyros by names, or one to examine them with, and a question."""
-    unit, rate_hz = gyro.unit[0], proposal.rate_hz
+    unit, rate_hz = gyro.unit, proposal.rate_hz
     if unit in ("rad", "deg") and not gyro.are_increments and is_rate(accel_unit):
         unit = f"{unit}_per_s"  # as PX4 writes gyro_rad
     if unit:
-        of_earth = mean * rate_factor(unit, rate_hz) / EARTH_RATE
+        of_earth = size * rate_factor(unit, rate_hz) / EARTH_RATE
         reason = f"by the names; the mean rate is {of_earth:.3g} times Earth rate"
         proposal.reasons["gyro_unit"] = reason
         return unit
-    if gyro.are_increments and math.isnan(rate_hz):
-        proposal.questions["gyro_unit"] = _NO_RATE
-        return "rad"
+    is_ros = all(any(part in name for name in table.names) for part in _ROS)
+    if is_ros and accel_unit == "m_per_s2":
+        proposal.reasons["gyro_unit"] = "as ROS writes them"
+        return "rad_per_s"
     question = "no name states it"
-    for standard, parts in _STANDARDS.items():
-        if all(any(part in name for name in table.names) for part in parts):
-            if accel_unit == "m_per_s2":
-                proposal.reasons["gyro_unit"] = f"as {standard} writes them"
-                return "rad_per_s"
-            question = f"{standard} writes m/s^2, but force in {accel_unit} contradicts it"
-    if "accel_scale" in proposal.questions:
-        scale = f"the mean rate is {mean:.4g} counts: see the data sheet, and give gyro_unit"
-        proposal.questions["gyro_scale"] = scale
+    if is_ros:
+        question = f"ROS writes m/s^2, but force in {accel_unit} contradicts it"
     units = [*GYRO_UNITS[INCREMENTS if gyro.are_increments else RATES]]
-    for unit in units:
-        rate = mean * rate_factor(unit, rate_hz)
-        question += (
+    if gyro.are_increments and math.isnan(rate_hz):
+        question += f", and {_NO_RATE}"
+    else:
+        rates = {unit: size * rate_factor(unit, rate_hz) for unit in units}
+        question += "".join(
             f'; gyro_unit = "{unit}": mean rate {rate / DEG_PER_H:.3g} deg/h,'
             f" {rate / EARTH_RATE:.3g} times Earth rate"
+            for unit, rate in rates.items()
         )
     proposal.questions["gyro_unit"] = question
     return units[0]
 
 
-def _axes_order(table: Table, gyro: Triad, accel: Triad, up: FloatArray, proposal: Proposal) -> str:
+def _axes_order(named: list[str], up: FloatArray, proposal: Proposal) -> str:
     """Return the order of axes by names, or by gravity if x, y, z are those of usual boxes."""
-    axis, question = int(np.argmax(np.abs(up))), ""
-    pointing = f"{'xyz'[axis]} reads {up[axis]:+.2f} g"
-    orders = [find_named_order([*table.comments, *table.names])]
-    reason = f"from names or comments; {pointing}"
-    if gyro.has_directions or accel.has_directions:
-        orders, reason = ["rfu"], "from names"
-        if not (gyro.has_directions and accel.has_directions):
-            question = "only one sensor names right, front and up: which axes has the other?"
-    if orders[0]:
-        if not question and to_body_axes(up[None], orders[0])[0, 2] < math.cos(60 * DEG):
-            question = f"the names state {orders[0]!r}, but {pointing}: a sign or an axis is wrong"
-    elif axis == 2 and abs(up[2]) > math.cos(30 * DEG):
-        orders = ["flu" if up[2] > 0 else "frd"]
-        reason = f"{pointing}; x is taken for the front, so the heading is that of x"
+    axis = int(np.argmax(np.abs(up)))
+    pointing, question = f"{'xyz'[axis]} reads {up[axis]:+.2f} g", ""
+    right, front, above = (*"yzx",) if axis == 0 else (*"zxy",) if axis == 1 else (*"xyz",)
+    order = f"{right}{front}{above}" if up[axis] > 0 else f"{front}{right}-{above}"
+    if len(named) > 1:
+        question = f"the names state {' and '.join(named)}"
+    elif named:
+        order, proposal.reasons["axes_order"] = named[0], f"from names or comments; {pointing}"
+        if to_body_axes(up[None], order)[0, 2] < math.cos(60 * DEG):
+            question = f"a sign or an axis is wrong: the names state {order!r}"
+    elif not abs(up[axis]) >= math.cos(30 * DEG):
+        question = "no axis is near the vertical, and no name states the axes"
+    elif axis == 2:
+        order = "flu" if up[2] > 0 else "frd"
+        proposal.reasons["axes_order"] = f"{pointing}; x is taken for the front"
     else:
-        a, b, c = "xyzxy"[axis + 1], "xyzxy"[axis + 2], "xyz"[axis]
-        orders = [f"{a}{b}{c}", f"{b}-{a}{c}", f"-{a}-{b}{c}", f"-{b}{a}{c}"]
-        if up[axis] < 0:
-            orders = [f"{b}{a}-{c}", f"-{a}{b}-{c}", f"-{b}-{a}-{c}", f"{a}-{b}-{c}"]
-        lines = " or ".join(f'axes_order = "{order}"' for order in orders)
-        question = f"{pointing}, and no name states which axis points front: {lines}"
-        if not abs(up[axis]) >= math.cos(30 * DEG):
-            question = f"no axis is near the vertical ({pointing}), and no name states the axes"
-    proposal.reasons["axes_order"] = reason
+        question = f'no name states the front; if it is {front}: axes_order = "{order}"'
     if question:
-        proposal.questions["axes_order"] = question
-    return orders[0]
+        proposal.questions["axes_order"] = f"{pointing}; {question}"
+    return order
 
 
 # Time
@@ -287,60 +246,62 @@ class _Clock(NamedTuple):
     questions: dict[str, str]
 
 
-def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[str]) -> _Clock:
+def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) -> _Clock:
     """Propose columns and units of time by names and by the steps of stamps, or ask for the rate.
 
     Columns of sensors are taken. Of several clocks the first one without a question counts.
     """
-    given, kinds = answers.get("time_column"), table.kinds
+    kinds, given = table.kinds, answers.get("time_column")
     names = [
         name for name, kind in kinds.items()
         if name == given or name and name not in taken
-        and (kind == "date" or kind == "number" and _TIME_NAME.search(name))
+        and (kind == "dates with time" or kind == "numbers" and _TIME_NAME.search(name))
     ]  # fmt: skip
-    dates = [name for name in names if kinds[name] == "date"]
-    pairs = zip(names, table.read(names, blanks=True, dates=dates), strict=True)
-    columns = {name: stamps for name, stamps in pairs if np.isfinite(stamps).sum() > 1}
-    units = {name: "iso" if name in dates else _unit_by_name(table, name) for name in columns}
-    fractions = {
-        name: unit for name, unit in units.items()
-        if unit in ("ms", "us", "ns") and np.nanmax(columns[name]) * TIME_UNITS[unit] < 1
-        and (np.diff(columns[name]) < 0).any()  # they begin again with each second
-    }  # fmt: skip
+    columns = table.read(names, [name for name in names if kinds[name] == "dates with time"])
+    stamps = {n: s for n, s in zip(names, columns, strict=True) if np.isfinite(s).sum() > 1}
+    units = {n: "iso" if kinds[n] == "dates with time" else _unit_by_name(table, n) for n in stamps}
+    fractions = [
+        name for name, unit in units.items()
+        if unit in ("ms", "us", "ns") and np.nanmax(stamps[name]) * TIME_UNITS[unit] < 1
+        and (np.diff(stamps[name]) < 0).any()  # they begin again with each second
+    ]  # fmt: skip
     clocks = []
-    for name in [given] if given in columns else columns:
+    for name in [given] if given in stamps else stamps:
         fields: dict[str, Any] = {"time_column": name, "time_unit": units[name] or "s"}
-        fields |= {k: answers[k] for k in ("time_unit", "time_scale") if k in answers}
-        stamps, questions = columns[name], dict[str, str]()
-        is_whole = np.array_equal(stamps, np.floor(stamps), equal_nan=True)
-        fraction = next((other for other in fractions if other != name), "")
-        if fraction and is_whole and units[name] in ("", "s"):
-            fields |= {"time_fraction_column": fraction, "time_fraction_unit": units[fraction]}
+        questions = dict[str, str]()
+        is_whole = np.array_equal(stamps[name], np.floor(stamps[name]), equal_nan=True)
+        others = [other for other in fractions if other != name]
+        if others and is_whole and units[name] in ("", "s"):
+            fields |= {"time_fraction_column": others[0], "time_fraction_unit": units[others[0]]}
         elif units[name] != "iso" and "time_unit" not in answers:
-            fields["time_unit"], question = _unit_by_steps(name, units[name], stamps)
-            questions |= {"time_unit": question} if question else {}
-        layout = RecordLayout(table.format, **fields)
-        times = [columns[column] for column in layout.time_columns]
-        clock = _try_clock(table.source, layout, times)
-        clocks.append(clock if clock.questions else _Clock(fields, clock.rate_hz, questions))
+            steps = np.diff(stamps[name][np.isfinite(stamps[name])])
+            step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+            rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
+            possible = [u for u, hz in rates.items() if _POSSIBLE_HZ[0] <= hz <= _POSSIBLE_HZ[1]]
+            fields["time_unit"] = units[name] or (possible or ["s"])[0]
+            if units[name] not in possible and (units[name] or len(possible) != 1):
+                stated = f"is named as {units[name]}, but" if units[name] else "states no unit, and"
+                shown = ", ".join(f'"{unit}": {rates[unit]:.4g} Hz' for unit in possible or rates)
+                questions["time_unit"] = f"column {name!r} {stated} its steps would be {shown}"
+        fields |= {key: answers[key] for key in ("time_unit", "time_scale") if key in answers}
+        clocks.append(_try_clock(table, _Clock(fields, math.nan, questions), stamps))
     unknown = _Clock({}, math.nan, {"rate_hz": "no column has times: give the true rate"})
     return min(clocks, key=lambda clock: (bool(clock.questions), not clock.fields), default=unknown)
 
 
-def _try_clock(source: str, layout: RecordLayout, times: list[FloatArray]) -> _Clock:
-    """Return the rate of columns of times; a question about it if they are no clock."""
-    time_s = combine_times(times, layout)
+def _try_clock(table: Table, clock: _Clock, stamps: Mapping[str, FloatArray]) -> _Clock:
+    """Return a clock with its rate; without columns and with a question if it is no clock."""
+    layout = RecordLayout(table.format, **clock.fields)
+    time_s = combine_times([stamps[column] for column in layout.time_columns], layout)
     time_s = time_s[np.isfinite(time_s)]
     is_new = np.diff(time_s, prepend=-np.inf) != 0
     if is_new.mean() > _MIN_NEW:
         time_s = time_s[is_new]
     try:
-        return _Clock({}, find_sampling(source, layout, time_s, lambda k: k + 1).rate_hz, {})
+        rate_hz = find_sampling(table.source, layout, time_s, lambda k: k + 1).rate_hz
+        return clock._replace(rate_hz=rate_hz)
     except InputError as error:
-        question = str(error).removeprefix(f"{source}: ").partition(" (drop")[0]
-        if len(time_s) > 1 and np.ptp(time_s) > 0:
-            rate_hz = (len(time_s) - 1) / np.ptp(time_s)
-            question += f"; the mean step would give {rate_hz:.6g} Hz"
+        question = str(error).removeprefix(f"{table.source}: ").partition(" (drop")[0]
         return _Clock({}, math.nan, {"rate_hz": f"{question}: give the true rate"})
 
 
@@ -348,18 +309,4 @@ def _unit_by_name(table: Table, name: str) -> str:
     """Return the unit of a column of times by the row of units or its name; "" for none."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", table.units.get(name) or name)  # as TimeUS
     found = _TIME_UNIT.search(text.lower())
-    return _TIME_UNITS[found[1]] if found else ""
-
-
-def _unit_by_steps(name: str, named: str, stamps: FloatArray) -> tuple[str, str]:
-    """Return the unit of stamps (T,), the named one or what their steps can be; and a question."""
-    steps = np.diff(stamps[np.isfinite(stamps)])
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    rates = {unit: 1 / max(step * TIME_UNITS[unit], 1e-300) for unit in ("s", "ms", "us", "ns")}
-    possible = [unit for unit in rates if _POSSIBLE_HZ[0] <= rates[unit] <= _POSSIBLE_HZ[1]]
-    unit = named or (possible or ["s"])[0]
-    if unit in possible and (named or len(possible) == 1):
-        return unit, ""
-    shown = ", ".join(f'"{other}": {rates[other]:.4g} Hz' for other in possible or rates)
-    problem = f"is named as {named}, but" if named else "does not tell its unit:"
-    return unit, f"column {name!r} {problem} its steps of {step:.4g} are {shown}"
+    return "" if not found else f"{(found[1] or '').replace('micro', 'u')[:1]}s"

@@ -1,19 +1,17 @@
 """Opening logs: named columns of numbers in delimited text, gzipped or not, or in Parquet.
 
-In text the first line that is no comment names the columns, or a comment before the samples does.
-Lines before it with too few cells are skipped, and so is a row of units after it. The columns of a
-file without names are ``column_1``, ``column_2`` and so on, or have the names of ``[record]
-columns``. Rows are counted from 1: in text as lines of the file, in Parquet as rows of the table.
+In text the row with as many cells as the samples and no number names the columns, perhaps with a
+row of units after it; else a comment does, or they are ``column_1``, ``column_2`` and so on. Rows
+are counted from 1: in text as lines of the file, in Parquet as rows of the table.
 """
 
 import csv
 import gzip
-import math
-import re
 import zlib
+from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import islice, pairwise
+from itertools import chain, islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -23,10 +21,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.messages import shorten, suggest_closest
+from sinsjax.messages import first_error_line, shorten, suggest_closest
 from sinsjax.records.layout import FloatArray
 
 MISSING_TEXT = "empty or not finite"
@@ -35,51 +32,41 @@ MIN_COLUMNS = 6
 """Columns of an inertial record."""
 
 _MAX_MAGNITUDE = 1e30  # of numbers; squares and sums of such stay finite
-_MAX_COLUMNS, _HEAD_ROWS, _SHAPE_ROWS, _BATCH_ROWS = 1000, 20, 200, 2**13
+_MAX_COLUMNS, _SHAPE_LINES, _BATCH_ROWS = 1000, 1000, 2**13
 _COMMENTS = ("#", "%", "//")
 _NO_TEXT = (
     "not text in UTF-8 (unpack it, or convert it: `iconv -f CP1252 -t UTF-8 LOG > NEW` for text of"
     " Windows; to CSV from MATLAB, HDF5, a ROS bag or a spreadsheet)"
 )
-_NUMBERS = (pa.float64(),)
-_DATES = (pa.timestamp("ns"), pa.timestamp("ns", "UTC"))  # without a zone, and with one
-
-
-Columns = Sequence[pa.ChunkedArray]
-"""Columns of numbers, dates or text."""
 
 
 class Table(NamedTuple):
     """An opened file with named columns, or columns in memory."""
 
     source: str  # name of the file, for messages
-    names: list[str]  # of all columns, in order
-    load: Callable[[list[int]], Iterable[Columns]]  # batches of the columns of some indices
-    row_number: Callable[[int], int]  # row of sample k, for messages; after `read`
+    data: pa.Table  # of numbers (float64), dates with time, or text
+    row_number: Callable[[int], int]  # row of sample k, for messages
     format: str  # "csv" or "parquet"; "arrays" for columns in memory
-    head: Mapping[str, Sequence[str]] = MappingProxyType({})  # cells of the first rows, by name
     units: Mapping[str, str] = MappingProxyType({})  # cells of a row of units, by name
     comments: Sequence[str] = ()  # lines before the samples
 
     @property
-    def kinds(self) -> dict[str, str]:
-        """What the first cells of each column are: number, date (also a time of day) or text."""
-        kinds = {"number": _NUMBERS, "date": _DATES, "text": (pa.string(),)}
-        return {
-            name: next(kind for kind, types in kinds.items() if _is_castable([*cells], types))
-            for name, cells in self.head.items()
-        }
+    def names(self) -> list[str]:
+        """The names of all columns, in order."""
+        return [*self.data.column_names]
 
-    def read(
-        self, wanted: Sequence[str], *, blanks: bool = False, dates: Collection[str] = ()
-    ) -> list[FloatArray]:
-        """Return the named columns, (T,) each, T > 0.
+    @property
+    def kinds(self) -> dict[str, str]:
+        """What each column contains: "numbers", "dates with time" or "text"."""
+        return {field.name: _kind(field.type) for field in self.data.schema}
+
+    def read(self, wanted: Sequence[str], dates: Collection[str] = ()) -> list[FloatArray]:
+        """Return the named columns, (T,) each, T > 0, with nan for missing values.
 
         Args:
             wanted: names of the columns.
-            blanks: whether missing values become nan; otherwise they are refused.
-            dates: columns of dates with time, in UTC unless they have a zone, or of times of day;
-                they become seconds since 1970, or since midnight.
+            dates: columns of dates with time, in UTC unless they have a zone; they become seconds
+                since 1970.
         """
         for name in wanted:
             if self.names.count(name) > 1:
@@ -88,74 +75,64 @@ class Table(NamedTuple):
                 shown = shorten(", ".join(map(repr, self.names)), 300)
                 hint = suggest_closest(name, self.names) or f"; the file has {shown}"
                 raise InputError(f"{self.source}: no column {name!r}{hint}")
-        batches, count = list[list[FloatArray]](), 0
-        for columns in self.load([self.names.index(name) for name in wanted]) if wanted else ():
-            pairs = zip(wanted, columns, strict=True)
-            batches.append(
-                [self._to_numbers(n, c, count, is_date=n in dates, blanks=blanks) for n, c in pairs]
-            )
-            count += len(columns[0])
-        if wanted and not count:
+        if wanted and not len(self.data):
             raise InputError(f"{self.source}: no samples after the header")
-        return [np.concatenate(parts) for parts in zip(*batches, strict=True)]
+        return [
+            self._read(name, "dates with time" if name in dates else "numbers") for name in wanted
+        ]
 
-    def _to_numbers(
-        self, name: str, column: pa.ChunkedArray, first: int, *, is_date: bool, blanks: bool
-    ) -> FloatArray:
-        """Return samples of a column, of which the first one has a number for messages."""
-        kinds, wanted = (_DATES, "dates with time") if is_date else (_NUMBERS, "numbers")
-        if pa.types.is_string(column.type):
-            column = pc.utf8_trim_whitespace(column)
-            cells = pc.if_else(pc.equal(column, ""), pa.scalar(None, pa.string()), column)
-            for kind in kinds:
-                with suppress(pa.ArrowException):
-                    column = _cast(cells, kind)
-            if pa.types.is_string(column.type):
-                texts = cells.to_pylist()
-                wrong = (k for k, text in enumerate(texts) if not _is_castable([text], kinds))
-                k = next(wrong, 0)  # the first one, if only some dates have a zone
-                text = f"{shorten(str(texts[k]), 24)!r} is not one of {wanted}"
-                raise self._cell_error(name, first + k, text)
-        kind = column.type
-        are_numbers = pa.types.is_floating(kind) or pa.types.is_integer(kind)
-        if not (pa.types.is_timestamp(kind) if is_date else are_numbers):
-            raise InputError(f"{self.source}: column {name!r} contains {kind}, not {wanted}")
-        if is_date:
-            whole = column.cast(pa.timestamp("ns"), safe=False).cast(pa.int64())
+    def _read(self, name: str, kind: str) -> FloatArray:
+        column = self.data[name]
+
+        def refuse(k: int, text: str) -> InputError:
+            place = f"{self.source}: row {self.row_number(k)}"
+            return InputError(f"{place}: column {name!r}: {text}")
+
+        if _kind(column.type) != kind:
+            cells = (_kind(_to_typed(column.slice(k, 1)).type) for k in range(len(column)))
+            k = next((k for k, found in enumerate(cells) if found != kind), 0)
+            raise refuse(k, f"{shorten(str(column[k]), 24)!r} is not one of {kind}")
+        if kind != "numbers":
+            whole = column.cast(pa.timestamp("ns")).cast(pa.int64())
             column = pc.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
-        values = np.array(column.to_numpy(), np.float64)
-        valid = (np.abs(values) <= _MAX_MAGNITUDE) | (blanks & ~np.isfinite(values))
-        if not valid.all():
-            k = int(valid.argmin())
-            is_large = math.isfinite(values[k])
-            text = f"out of range (beyond {_MAX_MAGNITUDE:g})" if is_large else MISSING_TEXT
-            raise self._cell_error(name, first + k, text)
+        values = np.asarray(column.to_numpy())
+        if (large := np.isfinite(values) & (np.abs(values) > _MAX_MAGNITUDE)).any():
+            raise refuse(int(large.argmax()), f"out of range (beyond {_MAX_MAGNITUDE:g})")
         return values
 
-    def _cell_error(self, name: str, k: int, text: str) -> InputError:
-        return InputError(f"{self.source}: row {self.row_number(k)}: column {name!r}: {text}")
+
+def _kind(kind: pa.DataType) -> str:
+    is_date = pa.types.is_timestamp(kind)
+    return "numbers" if kind == pa.float64() else "dates with time" if is_date else "text"
+
+
+def _to_typed(column: Any) -> Any:
+    """Return a column as numbers or dates with time, if all of its cells are such."""
+    if pa.types.is_string(column.type):
+        column = pc.utf8_trim_whitespace(column)
+        column = pc.if_else(pc.equal(column, ""), pa.scalar(None, pa.string()), column)
+    if not pa.types.is_timestamp(column.type):
+        for kind in (pa.float64(), pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
+            with suppress(pa.ArrowException):
+                return pc.cast(column, kind, safe=not pa.types.is_integer(column.type))
+    return column
+
+
+def _join(parts: list[pa.Array]) -> pa.ChunkedArray:
+    """Return the parts of a column as one, as text if they differ in type."""
+    kinds = {part.type for part in parts}
+    kind = kinds.pop() if len(kinds) == 1 else pa.string()
+    return pa.chunked_array([part.cast(kind) for part in parts], kind)
+
+
+def make_table(columns: Iterable[Any], names: Sequence[str]) -> pa.Table:
+    """Return named columns of numbers, dates or text."""
+    return pa.Table.from_arrays([_to_typed(column) for column in columns], [*names])
 
 
 def is_number(text: str) -> bool:
     """Return whether a text is a number, or one of the words for none."""
-    return bool(text) and _is_castable([text], _NUMBERS)
-
-
-def _cast(column: pa.ChunkedArray, kind: pa.DataType) -> pa.ChunkedArray:
-    """Return a column of text as numbers or dates, of 1970 if these are times of day."""
-    if pa.types.is_timestamp(kind):
-        column = pc.replace_substring_regex(column, r"^(\d+:)", r"1970-01-01T\1")
-    return column.cast(kind)
-
-
-def _is_castable(cells: Sequence[str | None], kinds: Sequence[pa.DataType]) -> bool:
-    """Return whether all cells that are not empty fit one of some kinds."""
-    column = pa.chunked_array([[cell or None for cell in cells]], pa.string())
-    for kind in kinds:
-        with suppress(pa.ArrowException):
-            _cast(column, kind)
-            return True
-    return False
+    return bool(text) and _kind(_to_typed(pa.array([text])).type) == "numbers"
 
 
 def open_log(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) -> Table:
@@ -178,9 +155,15 @@ def _read_start(path: str | Path) -> bytes:
     return start
 
 
-def _check_width(path: str | Path, names: Sequence[str]) -> None:
-    if len(names) > _MAX_COLUMNS:
-        raise InputError(f"{path}: {len(names):,} columns (keep those of one IMU)")
+def open_parquet(path: str | Path) -> Table:
+    """Open a Parquet file."""
+    _read_start(path)
+    try:
+        data = pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError):
+        raise InputError(f"{path}: not a Parquet file, damaged or cut off") from None
+    data = make_table(data.columns, data.column_names)
+    return Table(str(path), data, lambda k: k + 1, "parquet")
 
 
 # Text
@@ -198,38 +181,30 @@ class _Shape(NamedTuple):
 
     names: list[str]
     delimiter: str
-    decimal_mark: str
     begin: int  # row of the first possible sample
-    is_named: bool = True  # by the file or by the user
     units: Sequence[str] = ()
 
 
-def read_lines(path: str | Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the lines of a text file in batches, each with the row of its first line, from 1.
-
-    The file may be gzipped; it is in UTF-8, or in UTF-16 with its mark.
-    """
-    start, row = _read_start(path), 1
+def read_lines(path: str | Path) -> Iterator[str]:
+    """Yield the lines of a text file, in UTF-8 or in UTF-16 with its mark, gzipped or not."""
+    start = _read_start(path)
     encoding = "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     opener: Callable[..., Any] = gzip.open if start.startswith(b"\x1f\x8b") else open
     try:
         with opener(path, "rt", encoding=encoding) as file:
-            while lines := [line.rstrip("\r\n") for line in islice(file, _BATCH_ROWS)]:
-                if any("\0" in line for line in lines):
+            for line in file:
+                if "\0" in line:
                     raise InputError(f"{path}: {_NO_TEXT}")
-                yield row, lines
-                row += len(lines)
+                yield line.rstrip("\r\n")
     except UnicodeError:
         raise InputError(f"{path}: {_NO_TEXT}") from None
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        raise InputError(f"{path}: a damaged or incomplete archive (unpack it)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except (EOFError, zlib.error, OSError) as error:
+        raise InputError(f"{path}: cannot be read: {first_error_line(error)}") from None
 
 
-def data_lines(lines: Sequence[str], first: int = 1, begin: int = 1) -> Iterator[Line]:
-    """Yield the data among lines, of which the first is in row ``first``, from row ``begin`` on."""
-    for row, line in enumerate(lines, first):
+def data_lines(lines: Iterable[str], begin: int = 1) -> Iterator[Line]:
+    """Yield the data among the lines of a file, from row ``begin`` on."""
+    for row, line in enumerate(lines, 1):
         text = line.strip(" ")
         if text and row >= begin and not text.startswith(_COMMENTS):
             yield Line(row, text)
@@ -243,144 +218,107 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         columns: names of all columns of a file that does not name them.
         skip_rows: number of lines before the names, or before the samples.
     """
-    _, lines = next(read_lines(path), (1, []))
-    shape = _find_shape(path, lines, columns, skip_rows)
-    _check_width(path, shape.names)
-    rows: list[NDArray[np.int64]] = []
-
-    def load(index: list[int]) -> Iterator[Columns]:
-        rows.clear()
-        for first, batch in read_lines(path):
-            if data := [*data_lines(batch, first, shape.begin)]:
-                rows.append(np.array([line.row for line in data]))
-                yield _split_batch(path, shape, data, index).columns
-
-    def row_number(k: int) -> int:
-        rows[:] = [np.concatenate(rows)]
-        return int(rows[0][k])
-
-    start = islice(data_lines(lines, 1, shape.begin), _HEAD_ROWS)
-    head = [_split(line.text, shape) for line in start]
-    return Table(
-        str(path),
-        shape.names,
-        load,
-        row_number,
-        "csv",
-        head={n: [c[k] for c in head if k < len(c)] for k, n in enumerate(shape.names)},
-        units=dict(zip(shape.names, shape.units, strict=False)),
-        comments=lines[: shape.begin - 1],
-    )
-
-
-def _find_shape(
-    path: str | Path, lines: list[str], columns: Sequence[str], skip_rows: int
-) -> _Shape:
-    """Return where the columns of a file are, from its first lines."""
-    data = [*islice(data_lines(lines, 1, skip_rows + 1), _SHAPE_ROWS)]
+    lines = read_lines(path)
+    start = [*islice(lines, skip_rows + _SHAPE_LINES)]
+    data = [*data_lines(start, skip_rows + 1)]
     if not data:
         kind = "the file has only comments (remove their signs?) or blank lines"
         raise InputError(f"{path}: {f'no samples after row {skip_rows}' if skip_rows else kind}")
-    rows = [_split(line.text) for line in data]
-    if len(rows[0]) < MIN_COLUMNS and not columns:  # a preamble, if the cells of an IMU follow
-        for place, (cells, following) in enumerate(pairwise(rows)):
-            if len(cells) == len(following) and sum(map(is_number, following)) >= MIN_COLUMNS:
-                data, rows = data[place:], rows[place:]
-                break
-    delimiter = _find_delimiter(data[0].text)
-    has_commas = delimiter != "," and re.search(r"\d,\d", data[-1].text) is not None
-    shape = _Shape([*columns], delimiter, "," if has_commas else ".", data[0].row)
+    comments = start[: data[0].row - 1]
+    shape = _find_shape([*columns], data, comments)
+    if len(shape.names) > _MAX_COLUMNS:
+        raise InputError(f"{path}: {len(shape.names):,} columns (keep those of one IMU)")
+    rows, parts = array("q"), [list[pa.Array]() for _ in shape.names]
+    left = data_lines(chain(start, lines), shape.begin)
+    while batch := [*islice(left, _BATCH_ROWS)]:
+        rows.extend(line.row for line in batch)
+        for part, column in zip(parts, _split_batch(path, shape, batch).columns, strict=True):
+            part.extend(_to_typed(column).chunks)  # at once, as numbers need less memory than text
+    return Table(
+        str(path),
+        make_table(map(_join, parts), shape.names),
+        rows.__getitem__,
+        "csv",
+        units=dict(zip(shape.names, shape.units, strict=False)),
+        comments=comments,
+    )
+
+
+def _find_shape(columns: list[str], data: list[Line], comments: list[str]) -> _Shape:
+    """Return where the columns of a file are, from its first lines of data."""
     if columns:
-        return shape
-    if sum(map(is_number, rows[0])) < MIN_COLUMNS:
-        names, units = rows[0], rows[1] if len(rows) > 1 else []
-        if len(units) == len(names) + 1 and not units[-1]:
-            names.append("")  # a delimiter ends all lines but that of the names
-        if len(units) != len(names) or not any(units) or any(map(is_number, units)):
-            units = []
-        return shape._replace(names=names, units=units, begin=data[1 if units else 0].row + 1)
-    for line in reversed(lines[: shape.begin - 1]):
+        return _Shape(columns, _find_delimiter(data[0].text), data[0].row)
+    rows = [_split(line.text) for line in data]
+    first = next((k for k, cells in enumerate(rows) if _are_samples(cells)), len(rows))
+    samples = rows[min(first, len(rows) - 1)]
+    widths = {len(samples), len(samples) - (samples[-1:] == [""])}  # a delimiter may end all lines
+    named = [k for k in range(first) if len(rows[k]) in widths and not any(map(is_number, rows[k]))]
+    delimiter = _find_delimiter(data[min(first, len(rows) - 1)].text)
+    if first:
+        place = named[0] if named else first - 1
+        has_units = place + 1 in named and any(rows[place + 1])
+        names = rows[place] + [""] * (max(widths) - len(rows[place]))
+        units = rows[place + 1] if has_units else ()
+        return _Shape(names, delimiter, data[place + has_units].row + 1, units=units)
+    for line in reversed(comments):
         names = _split(line.strip().lstrip("#%/ \t"))
-        if len(names) == len(rows[0]) and not any(map(is_number, names)):
-            return shape._replace(names=names)
-    names = [f"column_{number}" for number in range(1, len(rows[0]) + 1)]
-    return shape._replace(names=names, is_named=False)
+        if len(names) == len(samples) and not any(map(is_number, names)):
+            return _Shape(names, delimiter, data[0].row)
+    names = [f"column_{number}" for number in range(1, len(samples) + 1)]
+    return _Shape(names, delimiter, data[0].row)
+
+
+def _are_samples(cells: Sequence[str]) -> bool:
+    """Return whether the cells of a row are those of a record or a reference."""
+    numbers = sum(map(is_number, cells))
+    return numbers >= MIN_COLUMNS or numbers >= max(3, len(cells) - 1)
 
 
 def _find_delimiter(line: str) -> str:
-    """Return the delimiter of a line: the commonest; blanks only without another one."""
-    best = max(",;\t", key=line.count)
-    return best if best in line else " "
+    """Return the delimiter of a line, blanks if no other one separates four cells."""
+    return next((delimiter for delimiter in ";\t," if line.count(delimiter) >= 3), " ")
 
 
-def _split(line: str, shape: _Shape | None = None) -> list[str]:
-    """Return the cells of a line, also before its shape is known; [] for no delimited text."""
-    delimiter = shape.delimiter if shape else _find_delimiter(line)
-    text = " ".join(line.split()) if delimiter == " " else line
+def _normalise(line: str, delimiter: str) -> str:
+    """Return a line with single blanks between columns, and with decimal points."""
+    line = " ".join(line.split()) if delimiter == " " else line
+    return line if delimiter == "," else line.replace(",", ".")
+
+
+def _split(line: str) -> list[str]:
+    """Return the cells of a line; [] for no delimited text."""
+    delimiter = _find_delimiter(line)
     try:
-        cells = next(csv.reader([text], delimiter=delimiter, strict=True), [])
+        (cells,) = csv.reader([_normalise(line, delimiter)], delimiter=delimiter, strict=True)
     except csv.Error:
         return []
-    return [cell.strip().replace(shape.decimal_mark if shape else ".", ".") for cell in cells]
+    return [cell.strip() for cell in cells]
 
 
-def _split_batch(path: str | Path, shape: _Shape, data: list[Line], index: list[int]) -> pa.Table:
-    """Return some columns of consecutive lines as text."""
-    keys, bad = [str(column) for column in range(len(shape.names))], list[Any]()
-    lines: Iterator[str] = (line.text for line in data)
-    if shape.delimiter == " ":
-        lines = (" ".join(line.split()) for line in lines)
+def _split_batch(path: str | Path, shape: _Shape, data: list[Line]) -> pa.Table:
+    """Return columns of text, named by their number, from consecutive lines."""
+    count, bad = len(shape.names), list[Any]()
+    keys = [*map(str, range(count))]
+    text = "\n".join(_normalise(line.text, shape.delimiter) for line in data)
 
     def skip(row: Any) -> str:
         bad.append(row)
         return "skip"
 
     table = pa.csv.read_csv(
-        pa.BufferReader("\n".join(lines).encode()),
+        pa.BufferReader(text.encode()),
         pa.csv.ReadOptions(column_names=keys, use_threads=False),
         pa.csv.ParseOptions(delimiter=shape.delimiter, invalid_row_handler=skip),
-        pa.csv.ConvertOptions(
-            column_types=dict.fromkeys(keys, pa.string()),
-            include_columns=[keys[column] for column in index],
-        ),
+        pa.csv.ConvertOptions(column_types=dict.fromkeys(keys, pa.string())),
     )
-    count = len(keys)
     if bad:
-        cells = bad[0].actual_columns
-        problem = f"the header has {count} columns, this row has {cells}"
+        found = bad[0].actual_columns
+        problem = f"the header has {count} columns, this row has {found}"
         hint = "if it is the last row: is the file cut off?"
-        if not shape.is_named:
-            problem = f"{cells} cells follow {count} in row {shape.begin}, and no header names them"
+        if shape.names[0] == "column_1":
+            problem = f"{found} cells follow {count} in row {shape.begin}, and no header names them"
             hint = "keep the rows of one kind, and name their columns in [record] columns"
         raise InputError(f"{path}: row {data[bad[0].number - 1].row}: {problem} ({hint})")
     if len(table) != len(data):
         raise InputError(f"{path}: rows {data[0].row} to {data[-1].row}: a quote without its end")
-    if shape.decimal_mark == ",":
-        columns = [pc.replace_substring(column, ",", ".") for column in table.columns]
-        table = pa.table(columns, table.column_names)
     return table
-
-
-# Parquet
-
-
-def open_parquet(path: str | Path) -> Table:
-    """Open a Parquet file."""
-    _read_start(path)
-    try:
-        file = pq.ParquetFile(path)
-        start = next(file.iter_batches(_HEAD_ROWS), None)
-    except (pa.ArrowException, OSError):
-        raise InputError(f"{path}: not a Parquet file, or cut off") from None
-    names = file.schema_arrow.names
-    _check_width(path, names)
-
-    def load(index: list[int]) -> list[Columns]:
-        try:
-            return [[file.read([names[k]]).column(names[k]) for k in index]]
-        except (pa.ArrowException, OSError, KeyError):
-            raise InputError(f"{path}: damaged: its columns cannot be read") from None
-
-    cells = start.to_pydict() if start is not None and len({*names}) == len(names) else {}
-    head = {n: ["" if cell is None else str(cell) for cell in cells[n]] for n in cells}
-    return Table(str(path), names, load, lambda k: k + 1, "parquet", head)

@@ -8,7 +8,7 @@ import numpy as np
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds, shorten
 from sinsjax.records.layout import TIME_UNITS, FloatArray, Record, RecordLayout
-from sinsjax.records.reader import Table, open_parquet, open_text
+from sinsjax.records.reader import MISSING_TEXT, Table, open_log
 
 _LONGEST_GAP_S = 5.0  # that is interpolated; a swinging base turns within seconds
 _SIGMAS = ("sigma_e_deg", "sigma_n_deg", "sigma_u_deg")
@@ -24,7 +24,7 @@ class Reference(NamedTuple):
 
 
 def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Reference:
-    r"""Read a reference attitude from a Parquet file (suffix .parquet) or delimited text.
+    r"""Read a reference attitude from a Parquet file or delimited text.
 
     Columns: time_s, pitch_deg, roll_deg, one of yaw_deg, yaw_ccw_deg (both counter-clockwise from
     north) and heading_deg (clockwise), and optionally all of sigma_e_deg, sigma_n_deg, sigma_u_deg.
@@ -37,39 +37,37 @@ def read_reference(path: str | Path, layout: RecordLayout | None = None) -> Refe
         >>> sinsjax.read_reference("reference.csv").attitude_deg[:, 2].tolist()  # yaw
         [10.0, 12.0]
     """
-    table = open_parquet(path) if Path(path).suffix.lower() == ".parquet" else open_text(path)
-    return reference_from_table(table, layout)
+    return reference_from_table(open_log(path), layout)
 
 
 def reference_from_table(table: Table, layout: RecordLayout | None = None) -> Reference:
     """Return the reference in an opened table, see `read_reference`."""
-    path = table.source
     yaws = [name for name in ("yaw_deg", "yaw_ccw_deg", "heading_deg") if name in table.names]
-    if len(yaws) > 1:
-        raise InputError(f"{path}: has both {yaws[0]} and {yaws[1]} (keep one)")
-    sigmas = _SIGMAS if any(name in table.names for name in _SIGMAS) else ()
+    if len(yaws) != 1:
+        found = " and ".join(yaws) or f"none among {shorten(', '.join(map(repr, table.names)))}"
+        problem = f"needs one column of yaw_deg, yaw_ccw_deg and heading_deg, and has {found}"
+        raise InputError(f"{table.source}: {problem}")
+    sigmas = _SIGMAS if {*_SIGMAS} & {*table.names} else ()
     time, unit = "time_s", "s"
     if layout and time not in table.names and layout.time_column in table.names:
         time, unit = layout.time_column, layout.time_unit
-    if not yaws and {time, "pitch_deg", "roll_deg"} <= set(table.names):
-        shown = shorten(", ".join(map(repr, table.names)))
-        raise InputError(f"{path}: no column 'yaw_deg' or 'heading_deg'; the file has {shown}")
-    names = [time, "pitch_deg", "roll_deg", *(yaws or ["yaw_deg"]), *sigmas]
-    values = np.column_stack(table.read(names, dates=[time] if unit == "iso" else []))
+    names = [time, "pitch_deg", "roll_deg", *yaws, *sigmas]
+    values = np.column_stack(table.read(names, [time] if unit == "iso" else []))
     time_s, attitude, sigma = values[:, 0] * TIME_UNITS[unit], values[:, 1:4], values[:, 4:]
     if yaws == ["heading_deg"]:
         attitude[:, 2] *= -1
     faults = (
+        (~np.isfinite(values).all(axis=1), f"a cell is {MISSING_TEXT}"),
         (np.diff(time_s, prepend=-np.inf) <= 0, f"{time} does not increase"),
         (np.abs(attitude[:, 0]) > 90, "pitch_deg is beyond 90"),
         ((sigma < 0).any(axis=1), "a sigma is negative"),
     )
     for bad, text in faults:
         if bad.any():
-            raise InputError(f"{path}: row {table.row_number(int(bad.argmax()))}: {text}")
+            raise InputError(f"{table.source}: row {table.row_number(int(bad.argmax()))}: {text}")
     if len(time_s) < 2:
-        raise InputError(f"{path}: a reference needs at least two rows")
-    return Reference(time_s, attitude, sigma if sigmas else None, path)
+        raise InputError(f"{table.source}: a reference needs at least two rows")
+    return Reference(time_s, attitude, sigma if sigmas else None, table.source)
 
 
 class StoredRecord(NamedTuple):
@@ -94,19 +92,15 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
     first, last = reference.time_s[0], reference.time_s[-1]
     begin, end = times.min(), times.max()  # a backward pass ends before it begins
     slack = 1e-6 + 1 / stored.record.rate_hz
-    late, early = float(first - begin), float(end - last)
-    if max(late, early) > slack:
-        clock = stored.record.t0_s
-        remedy = "give a later [record] start_s"
-        if early > late:
-            remedy = "give a shorter [study] duration_s"
-        if max(late, early) > end - begin:
-            remedy = "do their clocks differ?"
+    if max(first - begin, end - last) > slack:
+        clock, covers, needs = stored.record.t0_s, (first, last), (begin, end)
+        covered, needed = (
+            " to ".join(format_seconds(clock + time) for time in span) for span in (covers, needs)
+        )
         raise InputError(
-            f"{reference.source}: covers {format_seconds(clock + first)} to"
-            f" {format_seconds(clock + last)} s, but the study needs"
-            f" {format_seconds(clock + begin)} to {format_seconds(clock + end)} s by the"
-            f" clock of {stored.record.source} ({remedy})"
+            f"{reference.source}: covers {covered} s, but the study needs {needed} s by the clock"
+            f" of {stored.record.source} (change [record] start_s or [study] duration_s; or do"
+            " their clocks differ?)"
         )
     # With the samples on either side, between which the ends are interpolated.
     low = np.searchsorted(reference.time_s, begin, side="right") - 1
@@ -117,8 +111,7 @@ def reference_attitudes(stored: StoredRecord, times: np.ndarray) -> np.ndarray:
             f"{reference.source}: has a gap of {gap:g} s where the study needs it"
             f" (at most {_LONGEST_GAP_S:g} s are interpolated)"
         )
-    # Half the import time of sinsjax, and needed only with a reference.
-    from scipy.spatial.transform import Rotation, Slerp
+    from scipy.spatial.transform import Rotation, Slerp  # half the import time of sinsjax
 
     pitch, roll, yaw = reference.attitude_deg.T
     attitudes = Rotation.from_euler("ZXY", np.column_stack([yaw, pitch, roll]), degrees=True)

@@ -12,12 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sinsjax.errors import InputError
-from sinsjax.records.layout import (
-    TIME_UNITS,
-    FloatArray,
-    RecordLayout,
-    resolve_rate,
-)
+from sinsjax.records.layout import TIME_UNITS, FloatArray, RecordLayout, resolve_rate
 
 _CATCH_UP_S = 0.1  # longest time for which stamps are late
 _AVERAGED_STEPS = 8  # of which some may be late
@@ -34,15 +29,8 @@ class Sampling(NamedTuple):
 
 
 def combine_times(times: Sequence[FloatArray], layout: RecordLayout) -> FloatArray:
-    """Return stamps (T,) in s from the time columns of a layout.
-
-    Times of day increase beyond midnight.
-    """
+    """Return stamps (T,) in s from the time columns of a layout."""
     time_s = times[0] * (TIME_UNITS[layout.time_unit] * layout.time_scale)
-    day_s = 86400.0
-    if layout.time_unit == "iso" and np.nanmax(time_s) < day_s and np.nanmin(time_s) >= 0:
-        wraps = np.diff(np.nan_to_num(time_s), prepend=time_s[:1]) < -day_s / 2
-        time_s = time_s + day_s * np.cumsum(wraps)
     if len(times) > 1:
         time_s += times[1] * TIME_UNITS[layout.time_fraction_unit]
     return time_s
@@ -58,27 +46,21 @@ def find_sampling(
     """
     place = f"{source}: column {layout.time_column!r}"
     if len(time_s) == 1:
-        if layout.rate_hz is None:
-            raise InputError(f"{source}: rate_hz: required with only one sample")
-        return Sampling(layout.rate_hz, float(time_s[0]) - 1 / layout.rate_hz, np.zeros(1, int))
+        raise InputError(f"{source}: has only one sample")
 
-    def refuse(k: int, rate: float = 0.0) -> NoReturn:
+    def refuse(k: int, problem: str) -> NoReturn:
         hint = "drop this column and give rate_hz if the stamps are bad"
-        step_s, problem = float(time_s[k + 1] - time_s[k]), f"a gap at {rate:g} Hz"
-        if step_s < 0:
-            problem = "time runs backward"
-        elif step_s == 0:
-            problem = "time repeats"
-        elif step_s * rate < 1:
-            problem = f"a short step at {rate:g} Hz"
         row = f"row {row_number(k + 1)}"
         raise InputError(f"{place}: {row}: {problem}, {format_step(time_s, k)} ({hint})")
 
     step_s = np.diff(time_s)
-    if (step_s <= 0).any():
-        refuse(int((step_s <= 0).argmax()))
-    found = _find_rate(time_s)
-    rate = resolve_rate(found.rate_hz, layout, found.uncertainty, place)
+    if step_s.min() <= 0:
+        k = int((step_s <= 0).argmax())
+        refuse(k, "time runs backward" if step_s[k] < 0 else "time repeats")
+    clean_s = _clean_steps(time_s)  # whose mean averages out the rounding of the stamps
+    rate = resolve_rate(
+        _round_rate(float(1 / clean_s.mean()), time_s), layout, 1 / len(clean_s), place
+    )
     ahead = (time_s - time_s[0]) * rate - np.arange(len(time_s))
     window = max(2, round(min(_CATCH_UP_S * rate, len(time_s))))
     on_time = _min_of_following(ahead, window)
@@ -89,47 +71,35 @@ def find_sampling(
     before = -_min_of_following(-on_time[::-1], 2 * window)[::-1]  # an early stamp is no gap
     jumps = on_time[1:] - before[:-1]
     steps = 1 + np.where(jumps > 0, np.rint(jumps), -np.floor(0.1 - jumps)).astype(np.int64)
-    if (steps < 1).any():
+    if steps.min() < 1:
         k = int((steps < 1).argmax())
-        refuse(k + int(step_s[k : k + window].argmin()), rate)
-    if (is_set := steps > _MAX_MISSING_FACTOR * len(time_s)).any():
-        refuse(int(is_set.argmax()), rate)
-    number = np.concatenate([[0], np.cumsum(steps)])
-    late = ahead - on_time
-    remark = ""
+        refuse(k + int(step_s[k : k + window].argmin()), f"a short step at {rate:g} Hz")
+    if steps.max() > _MAX_MISSING_FACTOR * len(time_s):
+        refuse(int(steps.argmax()), f"a gap at {rate:g} Hz")
+    number, late, remark = np.concatenate([[0], np.cumsum(steps)]), ahead - on_time, ""
     if count := int((late > 0.5).sum()):
         longest_ms = 1e3 * float(late.max()) / rate
         remark = f"{count} stamps are late by up to {longest_ms:.3g} ms: read as if on time"
     return Sampling(rate, float(time_s[0]) - 1 / rate, number, remark)
 
 
-class _Rate(NamedTuple):
-    """A rate, Hz, and its relative uncertainty."""
-
-    rate_hz: float
-    uncertainty: float
-
-
-def _find_rate(time_s: FloatArray) -> _Rate:
-    """Return the rate of increasing stamps: a whole one, or one of four digits, if they may be.
-
-    The resolution of the stamps is 0.2 us for seconds since 1970.
-    """
+def _clean_steps(time_s: FloatArray) -> FloatArray:
+    """Return the steps of increasing stamps without gaps; of several steps if these alternate."""
     step_s = np.diff(time_s)
     count = max(1, min(_AVERAGED_STEPS, len(step_s) // 8))
     long_step_s = (time_s[count:] - time_s[:-count]) / count
     typical_s = float(np.quantile(long_step_s, 0.5, method="lower"))
-    # The mean averages out the rounding of the stamps; steps near the median exclude gaps.
     clean = step_s[(step_s >= 0.5 * typical_s) & (step_s <= 1.5 * typical_s)]
     if 2 * len(clean) < len(step_s):  # stamps alternate, or come in bursts
         clean = long_step_s[np.abs(long_step_s - typical_s) < 0.5 * typical_s]
-    rate_hz = float(1 / clean.mean())
+    return clean
+
+
+def _round_rate(rate_hz: float, time_s: FloatArray) -> float:
+    """Return a whole rate, or one of four digits, if the resolution of the stamps allows it."""
     tolerance_hz = rate_hz * 2 * float(np.spacing(np.abs(time_s).max())) / float(np.ptp(time_s))
-    for rounded in (float(round(rate_hz)), float(f"{rate_hz:.4g}")):
-        if abs(rounded - rate_hz) <= tolerance_hz:
-            rate_hz = rounded
-            break
-    return _Rate(rate_hz, 1 / len(clean))
+    rounded = (float(round(rate_hz)), float(f"{rate_hz:.4g}"))
+    return next((hz for hz in rounded if abs(hz - rate_hz) <= tolerance_hz), rate_hz)
 
 
 def _min_of_following(values: FloatArray, count: int) -> FloatArray:

@@ -1,66 +1,43 @@
-"""Records in CSV and Parquet files, read and written by a `RecordLayout`."""
+"""Records from named columns of numbers, by a `RecordLayout`."""
 
-import csv
-import io
 import math
 from collections.abc import Callable
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet as pq
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_count
-from sinsjax.platform.files import atomic_write
 from sinsjax.records.checks import find_anomalies
 from sinsjax.records.layout import (
-    TIME_UNITS,
     Flaw,
     FloatArray,
     Record,
     RecordLayout,
-    check_layout,
     find_spans,
-    from_body_axes,
     is_rate,
     rate_factor,
-    resolve_rate,
     to_vehicle_axes,
     unit_factor,
 )
-from sinsjax.records.reader import MISSING_TEXT, Table, open_parquet, open_text
+from sinsjax.records.reader import MISSING_TEXT, Table
 from sinsjax.records.stamps import Sampling, combine_times, find_sampling, format_step
 
 _MAX_OFFERED_GAP_S = 1.0
 """Longest gap for which interpolation is offered: most bases sway more slowly than this."""
 
 
-def read_csv(path: str | Path, layout: RecordLayout) -> Record:
-    """Read a record from delimited text, see `reader`.
+def record_from_table(layout: RecordLayout, table: Table) -> Record:
+    """Return the record in an opened table, by a valid layout.
 
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
     be a few milliseconds late. A row that repeats the one before it, stamp included, is left out.
     A missing sample, from a gap or an empty cell, is interpolated if max_gap_s allows it; otherwise
-    it is nan and a flaw of the record, see `require_span`. Errors name the key, or the row and the
-    column.
+    it is nan and a flaw of the record, see `require_span`. Errors name the row and the column.
     """
-    check_layout(layout, str(path))
-    return record_from_table(layout, open_text(path, layout.columns, layout.skip_rows))
-
-
-def read_parquet(path: str | Path, layout: RecordLayout) -> Record:
-    """Read a record from a Parquet file, like `read_csv`, with rows of the table from 1."""
-    check_layout(layout, str(path))
-    return record_from_table(layout, open_parquet(path))
-
-
-def record_from_table(layout: RecordLayout, table: Table) -> Record:
-    """Return the record in an opened table, see `read_csv`; the layout is valid."""
     names = [name for sensor in layout.sensors for name in sensor.columns]
     dates = [layout.time_column] if layout.time_unit == "iso" else []
-    columns = table.read([*names, *layout.time_columns], blanks=True, dates=dates)
+    columns = table.read([*names, *layout.time_columns], dates)
     rows, times = np.column_stack(columns[:6]), columns[6:]
     del columns  # to save the memory of a second copy of a long record
     if not np.isfinite(rows).all(axis=1).any():
@@ -84,8 +61,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
         )
         remarks += filter(None, [sampling.remark])
     else:
-        # check_layout ensures that there is a time column or a rate.
-        assert layout.rate_hz is not None
+        assert layout.rate_hz is not None  # as `check_layout` ensures without a time column
         time_s, sampling = np.empty(0), Sampling(layout.rate_hz, 0.0, samples)
     rate_hz, number = sampling.rate_hz, sampling.number
 
@@ -94,50 +70,55 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
 
     def describe_gap(sample: int) -> str:
         k = int(np.searchsorted(number, sample))
-        row = row_number(sample)
+        row = f"row {row_number(sample)}"
         if number[k] != sample:
-            step = format_step(time_s, k - 1)
-            place = f"{table.source}: column {layout.time_column!r}: row {row}"
-            return f"{place}: a gap at {rate_hz:g} Hz, {step}"
+            place = f"{table.source}: column {layout.time_column!r}: {row}"
+            return f"{place}: a gap at {rate_hz:g} Hz, {format_step(time_s, k - 1)}"
         channel = int(np.isfinite(rows[k]).argmin())
-        return f"{table.source}: row {row}: column {names[channel]!r}: {MISSING_TEXT}"
+        return f"{table.source}: {row}: column {names[channel]!r}: {MISSING_TEXT}"
 
-    whole, flaws, filled = _fill_gaps(rows, sampling, layout, describe_gap)
+    filled = _fill_gaps(rows, sampling, layout, describe_gap)
     factors = np.concatenate(
         [np.multiply(rate_factor(unit, rate_hz), scale) for _, unit, scale in layout.sensors]
     )
-    anomalies = find_anomalies(names, whole, factors, rate_hz, row_number)
+    anomalies = find_anomalies(names, filled.rows, factors, rate_hz, row_number)
     increments = list[FloatArray]()
-    for values, (_, unit, scale) in zip((whole[:, :3], whole[:, 3:]), layout.sensors, strict=True):
+    for values, (_, unit, scale) in zip(np.hsplit(filled.rows, 2), layout.sensors, strict=True):
         values = values * (unit_factor(unit) * np.array(scale))
         if is_rate(unit):
             values /= rate_hz
         increments.append(to_vehicle_axes(values, layout))
     dtheta, dv = increments
     return Record(
-        dtheta=dtheta,
-        dv=dv,
+        dtheta,
+        dv,
         rate_hz=rate_hz,
         t0_s=sampling.t0_s,
         source=table.source,
-        flaws=tuple(flaws),
-        filled=filled,
+        flaws=tuple(filled.flaws),
+        filled=filled.interpolated,
         anomalies=anomalies,
         remarks=tuple(remarks),
     )
 
 
+class _Filled(NamedTuple):
+    """Rows of all samples from the first to the last, and what is missing among them."""
+
+    rows: FloatArray  # (T, 6); nan in flaws
+    flaws: list[Flaw]
+    interpolated: int  # samples
+
+
 def _fill_gaps(
     rows: FloatArray, sampling: Sampling, layout: RecordLayout, describe_gap: Callable[[int], str]
-) -> tuple[FloatArray, list[Flaw], int]:
-    """Return rows of all samples from the first to the last, the flaws and the filled samples.
-
-    Short gaps are interpolated; others become nan and a flaw.
-    """
+) -> _Filled:
+    """Return rows of all samples: short gaps are interpolated, others become nan and a flaw."""
     rate, number = sampling.rate_hz, sampling.number
     whole = np.full((number[-1] + 1, rows.shape[1]), np.nan)
     whole[number] = rows
     missing = np.asarray(~np.isfinite(whole).all(axis=1))
+    whole[missing] = np.nan
     good, fill, flaws = np.flatnonzero(~missing), np.zeros(len(whole), bool), list[Flaw]()
     for begin, end in find_spans(missing):
         inside = begin > 0 and end < len(whole)
@@ -151,55 +132,4 @@ def _fill_gaps(
         flaws.append(Flaw(begin, end, text))
     for column in whole.T:
         column[fill] = np.interp(np.flatnonzero(fill), good, column[good])
-    whole[missing & ~fill] = np.nan
-    return whole, flaws, int(fill.sum())
-
-
-def write_csv(
-    record: Record, path: str | Path, layout: RecordLayout, *, delimiter: str = ","
-) -> None:
-    """Write a record as delimited text in the layout's columns, units and axes.
-
-    Increments in rad and m/s are read back bit for bit. The time column, if any, is the end of each
-    sample. The record's position, attitude and g are not written, and no names if the layout gives
-    them.
-    """
-    columns = _record_to_columns(record, path, layout)
-    header = io.StringIO()
-    if layout.columns:
-        columns = {name: columns[name] for name in layout.columns if name in columns}
-    else:
-        csv.writer(header, delimiter=delimiter, lineterminator="\n").writerow(columns)
-    options = pa.csv.WriteOptions(include_header=False, delimiter=delimiter)
-    with atomic_write(path) as file:
-        file.write(header.getvalue().encode())
-        pa.csv.write_csv(pa.table(columns), file, options)
-
-
-def write_parquet(record: Record, path: str | Path, layout: RecordLayout) -> None:
-    """Write a record as a Parquet file of float64 columns, like `write_csv`."""
-    columns = _record_to_columns(record, path, layout)
-    with atomic_write(path) as file:
-        pq.write_table(pa.table(columns), file)
-
-
-def _record_to_columns(
-    record: Record, path: str | Path, layout: RecordLayout
-) -> dict[str, FloatArray]:
-    check_layout(layout, str(path))
-    place = f"{path}: cannot be written"
-    resolve_rate(record.rate_hz, layout, 0.0, f"{place}: the record")
-    if layout.time_unit == "iso" or layout.time_fraction_column or any(layout.mounting_deg):
-        raise InputError(f"{place}: dates, fractions of seconds and mounting_deg are only read")
-    if not (np.isfinite(record.dtheta).all() and np.isfinite(record.dv).all()):
-        raise InputError(f"{place}: an increment is not finite")
-    columns: dict[str, FloatArray] = {}
-    if layout.time_column:
-        time_s = record.t0_s + np.arange(1, len(record.dv) + 1) / record.rate_hz
-        columns[layout.time_column] = time_s / TIME_UNITS[layout.time_unit] / layout.time_scale
-    pairs = zip((record.dtheta, record.dv), layout.sensors, strict=True)
-    for increments, (names, unit, scale) in pairs:
-        values = from_body_axes(increments, layout.axes_order)
-        values = values * (record.rate_hz if is_rate(unit) else 1.0)
-        columns |= zip(names, (values / (unit_factor(unit) * np.array(scale))).T, strict=True)
-    return columns
+    return _Filled(whole, flaws, int(fill.sum()))

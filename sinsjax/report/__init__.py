@@ -111,6 +111,3 @@ def print_report(report: Report, console: Console, directory: Path, *, full: boo
             print_line(console, block, wrap=True)
         elif isinstance(block, Table):
             print_table(block, console)
-    if report.pictures:
-        listed = ", ".join(f"{picture.name}.png" for picture in report.pictures)
-        print_line(console, f"Figures: {listed}.", wrap=True)

@@ -1,26 +1,19 @@
-"""Building blocks of a report, and sentences that all reports use.
+"""Building blocks of a report, and sentences that several reports use.
 
 All text is plain: a writer escapes it for its medium.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from sinsjax import analysis, plots
+from sinsjax import plots
+from sinsjax.analysis import FEW_DRAWS
 from sinsjax.execution.results import Results
-from sinsjax.plots.labels import format_value
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
-
-NO_INTERVAL = (
-    "No intervals: the runs are on one record. They share its sensor biases, and most of its"
-    " samples where their spans overlap, so their spread does not show how far another record"
-    " would differ."
-)
-"""Note for results of runs on a record."""
 
 MAX_ROWS = 20
 """Rows of a table; the note counts the rows left out."""
@@ -44,27 +37,13 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
     note: str = ""
 
-
-def build_table(
-    title: str,
-    keys: Sequence[str],
-    groups: Sequence[tuple[Mapping[str, Any], Any]],
-    cells: Sequence[tuple[str, Callable[[Any], str]]],
-    note: str = "",
-    *,
-    max_rows: int = MAX_ROWS,
-) -> Table:
-    """Return a table with one line per group: the values of its keys, then its formatted cells.
-
-    If there are more than ``max_rows`` groups, the note ends with the number of the others.
-    """
-    lines = [
-        [*(format_value(key[name]) for name in keys), *(format_cell(x) for _, format_cell in cells)]
-        for key, x in groups[:max_rows]
-    ]
-    if hidden := len(groups) - len(lines):
-        note = f"{note} {hidden} more rows are not shown.".lstrip()
-    return Table(title, [*keys, *(header for header, _ in cells)], lines, note)
+    def shortened(self, max_rows: int = MAX_ROWS) -> "Table":
+        """Return the first rows, with the number of the others at the end of the note."""
+        hidden = len(self.rows) - max_rows
+        if hidden <= 0:
+            return self
+        note = f"{self.note} {hidden} more rows are not shown.".lstrip()
+        return self._replace(rows=self.rows[:max_rows], note=note)
 
 
 class Picture(NamedTuple):
@@ -142,30 +121,21 @@ def describe_success_criterion(study: Study) -> str:
     dwell_s = rule.dwell(ends_s)
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
     aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
-    if study.is_recorded:
-        aim = "the reference's heading, where there is one,"
-    ends = f"has been there for {last} s at the end" if dwell_s.max() else "ends there"
-    text = (
+    aim = "the reference's heading" if study.is_recorded else aim
+    return (
         f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band given) of"
-        f" {aim} from then to the end of the run; ok: it {ends}, and the level errors end within"
-        f" {rule.level_band_arcmin:g} arcmin."
+        f" {aim} from then to the end of the run; ok: it has been there for {last} s at the end,"
+        f" and the level errors end within {rule.level_band_arcmin:g} arcmin. Bias floor: the"
+        " heading error caused by a run's own constant sensor biases."
     )
-    if study.is_recorded:
-        return text
-    return f"{text} Bias floor: the heading error caused by a run's own constant sensor biases."
 
 
-def describe_intervals(
-    source: Results, sampled_units: str = "draws", quantity: str = "Number"
-) -> str:
+def describe_intervals(source: Results, quantity: str = "Number", of: str = "draws") -> str:
     """Describe the brackets of a table, or why there are none."""
     if source.study.is_recorded:
-        return NO_INTERVAL
-    note = f"{quantity} [95 % interval over the {sampled_units}]."
-    if source.draws >= MIN_DRAWS_FOR_INTERVALS:
-        return note
-    return (
-        f"{note} {analysis.FEW_DRAWS!r}, or no interval: so few do not bound the number. With fewer"
-        f" than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of skewed values are too"
-        " narrow."
-    )
+        return "No intervals: all runs are on one record and share its sensor biases."
+    note = f"{quantity} [95 % interval over the {of}]; {FEW_DRAWS!r}: too few to bound it."
+    if source.draws < MIN_DRAWS_FOR_INTERVALS:
+        note += f" With fewer than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of"
+        note += " skewed values are too narrow."
+    return note

@@ -12,14 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.plots.labels import describe_point, describe_schedule, format_value, name_and_unit
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
-
-_ANGLES = {"phi_e0_deg": "east", "phi_n0_deg": "north", "phi_u0_deg": "up"}
-_MAX_OPTION_LENGTH = 80  # characters of an option; the tables have all its keys
 
 
 @dataclass(frozen=True)
@@ -60,36 +56,17 @@ class Choices:
         """The numbers of the runs, (options, conditions, draws)."""
         return self.variants[..., None] + self.study.n_variants * np.arange(draws)
 
-    @property
-    def _has_schedules(self) -> list[bool]:
-        """Whether each axis that is a choice is a reset schedule."""
-        return [{*keys} <= {*SCHEDULE_KEYS} for keys in self.option_axes]
-
-    @property
-    def option_noun(self) -> str:
-        """Kind of the options: schedule, method or option."""
-        if all(self._has_schedules):
-            return "schedule"
-        return "method" if self.option_axes == [("method",)] else "option"
-
     @cached_property
     def _reset_times(self) -> list[tuple[float, ...]]:
         return self.study.reset_times()
 
-    def with_resets(self, count: int) -> list[int]:
-        """The options with a number of scheduled resets; none if no axis is a schedule."""
-        if not any(self._has_schedules):
+    @property
+    def without_resets(self) -> list[int]:
+        """The options without scheduled resets; none if no axis is a schedule."""
+        if not any({*keys} <= {*SCHEDULE_KEYS} for keys in self.option_axes):
             return []
-        counts = [len(self._reset_times[variant]) for variant in self.variants[:, 0]]
-        return [option for option, number in enumerate(counts) if number == count]
-
-    def rival_options(self, best: int) -> list[list[int]]:
-        """The options of each kind that the best is compared with.
-
-        With schedules: the options with a single reset and those without; else all other options.
-        """
-        kinds = [kind for kind in map(self.with_resets, (1, 0)) if kind and best not in kind]
-        return kinds or [[option for option in range(len(self.variants)) if option != best]]
+        first = self.variants[:, 0].tolist()
+        return [option for option, variant in enumerate(first) if not self._reset_times[variant]]
 
     @cached_property
     def options(self) -> list[str]:
@@ -98,20 +75,16 @@ class Choices:
 
     def _describe_option(self, variant: int) -> str:
         words: list[str] = []
-        for keys, is_schedule in zip(self.option_axes, self._has_schedules, strict=True):
+        for keys in self.option_axes:
             for key in keys:
                 value = self.study.values(key)[variant]
-                if key not in SCHEDULE_KEYS:
-                    plain = key == "method"
-                    words.append(format_value(value) if plain else describe_point({key: value}))
-                elif self._reset_times[variant] or is_schedule:
+                if key == "method":
+                    words.append(format_value(value))
+                elif key not in SCHEDULE_KEYS:
+                    words.append(describe_point({key: value}))
+                elif self._reset_times[variant] or {*keys} <= {*SCHEDULE_KEYS}:
                     words.append(describe_schedule(self._reset_times[variant]))
-        text, *more = dict.fromkeys(words) or [""]
-        for place, word in enumerate(more):
-            if len(text) + len(word) > _MAX_OPTION_LENGTH:
-                return f"{text} + {format_count(len(more) - place, 'key')}"
-            text += f", {word}"
-        return text
+        return ", ".join(dict.fromkeys(words))
 
     def conditions_by_point(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
         """The conditions at each point of an axis, by the values of its keys."""
@@ -131,31 +104,15 @@ class Choices:
         return max(ranges, key=ranges.__getitem__) if ranges else None
 
 
-def condition_name_and_unit(key: str) -> tuple[str, str]:
-    """The name of a condition, of a starting error without ``initial``, and its unit."""
-    name, unit = name_and_unit(key)
-    return name.removeprefix("initial "), unit
-
-
 def condition_header(keys: Sequence[str]) -> str:
     """The header of a column with the points of a condition."""
-    angles = [key for key in keys if key in _ANGLES]
-    names = [
-        condition_name_and_unit(key)[0] for key in keys if len(angles) < 2 or key not in angles
-    ]
-    if len(angles) > 1:
-        names.insert(0, f"errors {', '.join(_ANGLES[key] for key in angles)}")
-    return ", ".join(names)
+    return ", ".join(name_and_unit(key)[0].removeprefix("initial ") for key in keys)
 
 
 def format_condition(keys: Sequence[str], point: Sequence[Any]) -> str:
-    """A point of a condition: ``30 deg``, or ``(5, 5, 30) deg`` for starting errors together."""
-    values = dict(zip(keys, point, strict=True))
-    angles = [key for key in keys if key in _ANGLES]
+    """A point of a condition: ``30 deg``."""
     cells = []
-    if len(angles) > 1:
-        cells.append(f"({', '.join(f'{values.pop(key):g}' for key in angles)}) deg")
-    for key, value in values.items():
-        text, unit = format_value(value), condition_name_and_unit(key)[1]
+    for key, value in zip(keys, point, strict=True):
+        text, unit = format_value(value), name_and_unit(key)[1]
         cells.append(f"{text} {unit}" if unit and text[-1:].isdigit() else text)
     return ", ".join(cells)

@@ -17,61 +17,27 @@ from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.grids import Grid
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution import stopping
 from sinsjax.execution.checks import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit.method import REFITS
-from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table, caution
-from sinsjax.report.choices import (
-    Choices,
-    condition_header,
-    condition_name_and_unit,
-    format_condition,
-)
+from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, caution
+from sinsjax.report.choices import Choices, condition_header, format_condition
 from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
+_FAILED_ARCMIN = 180 * 60.0  # of a program's run without a result
 _LIMITING = 0.7  # share of the rms error from which the bias floor is its cause
 _MOST_LIKE = 3  # options that are listed as not told apart from the best
 _MIN_DRAWS_TO_SPLIT = 8  # fewest draws of which each half is judged by the choice of the other
 _RARE = 0.1  # of the runs: so many may be at the edge of both bands, or have a doubtful fit
 _FIT_DOUBTS = {
-    "fit_misfit": (
-        3.0,
-        "the fit's residuals are {:.1f} times their sigma: do units, signs and [gravity_fit]"
-        " describe these sensors?",
-    ),
-    "fit_prior_ratio": (
-        3.0,
-        "the fit finds a sensor error or lever arm of {:.1f} times its 1 sigma: is a sign wrong, or"
-        " a number of [gravity_fit] too small?",
-    ),
-    "fit_change": (
-        1.0,
-        "the fit has not converged, its last pass changed it by {:.1f} sigma: the biases are too"
-        " large, or the data too short",
-    ),
+    "fit_misfit": (3.0, "residuals of {:.1f} sigma: are units, signs and [gravity_fit] right?"),
+    "fit_prior_ratio": (3.0, "an error of {:.1f} times its 1 sigma: is a sign or the sigma wrong?"),
+    "fit_change": (1.0, "not converged, by {:.1f} sigma: biases too large or data too short?"),
 }
 """Columns of a fit: above which value they are a doubt, and the doubt."""
-
-
-def sweep_verdict(
-    source: Results, outcome: "SweepOutcome | None" = None, *, warnings_shown: bool = False
-) -> Report:
-    """Return the verdict on a simulated study, or on a recorded one with a reference.
-
-    Args:
-        source: the results; some run has a truth.
-        outcome: of the results, if it is known.
-        warnings_shown: whether the user has seen the study's warnings.
-    """
-    outcome = outcome or SweepOutcome.from_source(source)
-    first, doubts = split_warnings(source, warnings_shown=warnings_shown)
-    doubts += [*caution_facts(outcome), *fit_cautions(source, _RARE)]
-    facts = [*first, *answer_facts(outcome), *doubts]
-    return Report(study_title(source), facts, condition_table(outcome))
 
 
 @dataclass(frozen=True)
@@ -97,19 +63,16 @@ class SweepOutcome:
         columns = [name for y in criteria for name in (y.ok_column, y.settle_column)]
         table = source.rows([*FLOOR_COLUMNS, *columns])
         # A criterion that some method does not have cannot compare the methods.
-        criterion = next(
-            (candidate for candidate in criteria if table[candidate.ok_column].null_count == 0),
-            criteria[0],
-        )
+        complete = [one for one in criteria if table[one.ok_column].null_count == 0]
         draws = table.num_rows // source.study.n_variants
+        criterion = (complete or criteria)[0]
         return cls(source, choices, criterion, Grid({}, table, choices.runs(draws)))
 
     @cached_property
     def time_s(self) -> NDArray:
         """Settling times of successes, infinite for others, s; (options, conditions, draws)."""
-        column = self.grid.column
-        settled = column(self.criterion.ok_column) > 0
-        times_s = np.where(settled, column(self.criterion.settle_column), np.inf)
+        settled = self.grid.column(self.criterion.ok_column) > 0
+        times_s = np.where(settled, self.grid.column(self.criterion.settle_column), np.inf)
         return np.where(np.isnan(times_s), np.inf, times_s)
 
     @property
@@ -179,6 +142,8 @@ class SweepOutcome:
         Neither fewer of the best's runs never settle, by the interval of the paired difference, nor
         do they settle sooner on average, where a run that never settles counts its whole length.
         """
+        if self.source.study.is_recorded or np.isinf(self.time_s[self.best]).all():
+            return []
         capped_s = np.minimum(self.time_s, self.unsettled_time_s).mean(axis=1)
         settled = np.isfinite(self.time_s).mean(axis=1)
         found = []
@@ -194,9 +159,10 @@ class SweepOutcome:
         """Settling on draws that did not choose the option, and whether the best's agrees.
 
         Each half of the draws is judged with the option that is best on the other half. No text
-        with one option or few draws.
+        with one option, with few draws or on a record.
         """
-        if self.n_draws < _MIN_DRAWS_TO_SPLIT or len(self.time_s) == 1:
+        few = self.n_draws < _MIN_DRAWS_TO_SPLIT or self.source.study.is_recorded
+        if few or len(self.time_s) == 1:
             return "", True
         chosen = np.empty(self.n_draws, dtype=int)
         halves = slice(0, None, 2), slice(1, None, 2)
@@ -238,21 +204,18 @@ def study_title(source: Results) -> str:
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
     status = source.rows(["status"])
-    counts = {outcome: int(analysis.status_mask(status, outcome).sum()) for outcome in FAILED}
-    failed = {outcome: number for outcome, number in counts.items() if number}
-    kinds = f" ({', '.join(failed)})" if failed else ""
-    return (
-        f"{study.name}: {count}, {f'{sum(failed.values()):,}' if failed else 'none'} failed{kinds}"
-    )
+    failed = {kind: int(analysis.status_mask(status, kind).sum()) for kind in FAILED}
+    kinds = ", ".join(kind for kind, number in failed.items() if number)
+    text = f"{sum(failed.values()):,} failed ({kinds})" if kinds else "none failed"
+    return f"{study.name}: {count}, {text}"
 
 
-def split_warnings(source: Results, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
+def warning_facts(source: Results, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
     """Return the warnings of a study: of a band out of reach, which comes first, and all others.
 
     Those that the user has seen are left out, but for the first.
     """
-    study, recorded = source.study, source.study.is_recorded
-    bands = [] if recorded else [*band_warnings(study)]
+    bands = [] if source.study.is_recorded else [*band_warnings(source.study)]
     others = () if warnings_shown else source.warnings
     facts = [caution(line, "Warning") for line in others if line not in bands]
     return [caution(line, "Band") for line in bands], facts
@@ -280,17 +243,9 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     few = " (few)" if outcome.n_draws < MIN_DRAWS_FOR_INTERVALS else ""
     yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
     if (rule := source.study.stop_when) and not source.unfinished:
-        rows = source.rows(stopping.required_columns(source.study))
-        widest, sufficient = (
-            stopping.widest_half_width(source.study, rows, outcome.n_draws),
-            rule.half_width,
-        )
-        enough = "narrow enough" if widest <= sufficient else "not narrow enough, but all are drawn"
-        yield Fact(
-            "Stopped",
-            f"after {outcome.n_draws:,} draws: the widest interval of {rule.statistic} over the"
-            f" variants has a half-width of {widest:.3g}, {enough} (requested: {sufficient:g})",
-        )
+        text = f"every half-width of {rule.statistic} is at most {rule.half_width:g}"
+        stopped = outcome.n_draws < source.study.n_draws
+        yield Fact("Stopped", text if stopped else "after the last draw, not by [stop_when]")
 
 
 def _settling_sentence(outcome: SweepOutcome) -> str:
@@ -299,29 +254,22 @@ def _settling_sentence(outcome: SweepOutcome) -> str:
     if not settled.any():
         return "no run settles"
     time = format_estimate(outcome.mean_settling_s(outcome.best), "s", 0)
-    if not settled.all():
-        share = format_percent(outcome.success_share(outcome.best))
-        return f"{share} % of the runs settle, after {time} on average"
-    runs, axes = "every run", outcome.choices.condition_axes
-    if len(axes) == 1 and len(axes[0]) == 1:
-        values = [value for (value,) in outcome.choices.conditions_by_point(axes[0])]
-        if len(values) > 1 and all(isinstance(value, int | float) for value in values):
-            name, unit = condition_name_and_unit(axes[0][0])
-            runs = f"every {name} from {min(values):g} to {max(values):g} {unit}".rstrip()
-    return f"{runs} settles, after {time} on average"
+    if settled.all():
+        return f"every run settles, after {time} on average"
+    share = format_percent(outcome.success_share(outcome.best))
+    return f"{share} % of the runs settle, after {time} on average"
 
 
 def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
-    """Yield the options that are not told apart from the best, and the best of each other kind."""
-    names, best = outcome.choices.options, outcome.best
-    is_comparable = not outcome.source.study.is_recorded and np.isfinite(outcome.time_s[best]).any()
-    like = outcome.options_like_best() if is_comparable else []
+    """Yield the options that are not told apart from the best, the next best and no resets."""
+    names, best, like = outcome.choices.options, outcome.best, outcome.options_like_best()
     if like:
         listed = "; ".join(names[option] for option in like[:_MOST_LIKE])
         more = f"; {len(like) - _MOST_LIKE} more" if len(like) > _MOST_LIKE else ""
         yield Fact("Not told apart", f"{listed}{more} (on {format_count(outcome.n_draws, 'draw')})")
-    rivals = [outcome.best_of(kind) for kind in outcome.choices.rival_options(best)]
-    rivals = [rival for rival in rivals if rival not in like[:_MOST_LIKE]]
+    others = [option for option in range(len(names)) if option != best and option not in like]
+    without = [option for option in outcome.choices.without_resets if option in others]
+    rivals = dict.fromkeys(outcome.best_of(kind) for kind in (others, without) if kind)
     if rivals:
         texts = (f"{names[rival]}: {outcome.format_settling(rival, 's')}" for rival in rivals)
         yield Fact("Others", "; ".join(texts))
@@ -345,11 +293,34 @@ def _accuracy_fact(outcome: SweepOutcome) -> Fact:
     return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
 
 
+def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+    """Yield the mean heading error of each program outside sinsjax, and that of the best method.
+
+    A run without a result counts 180 deg. The best is that of all draws.
+    """
+    choices, external = outcome.choices, outcome.source.study.study.external or ()
+    methods = np.array(outcome.source.study.values("method"))[choices.variants[:, 0]]
+    errors = [np.abs(outcome.flat("phi_u_arcmin", option)) for option in range(len(methods))]
+    errors = [np.where(np.isnan(error), _FAILED_ARCMIN, error) for error in errors]
+    means = [np.inf if m in external else e.mean() for m, e in zip(methods, errors, strict=True)]
+    best = int(np.argmin(means))
+    for program in (option for option, mean in enumerate(means) if np.isinf(mean)):
+        own = analysis.mean(errors[program], outcome.clusters, limits=(0.0, _FAILED_ARCMIN))
+        text = f"{methods[program]}: mean heading error {format_heading_error(own)}'"
+        larger, smaller, word = errors[program], errors[best], "more"
+        if own.value < means[best]:
+            larger, smaller, word = smaller, larger, "less"
+        difference = analysis.mean_difference(larger, smaller, outcome.clusters)
+        text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
+        text += f" {choices.options[best]}, the best of sinsjax"
+        yield Fact("Program", text)
+
+
 def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
-    best, study, criterion = outcome.best, outcome.source.study, outcome.criterion
+    best, criterion = outcome.best, outcome.criterion
     text, agrees = outcome.held_out
-    if study.is_recorded:
+    if outcome.source.study.is_recorded:
         yield caution("no intervals, since all runs are on one record")
     elif not agrees:
         yield caution(text)
@@ -379,21 +350,22 @@ def process_noise_caution(source: Results) -> Iterator[Fact]:
         )
 
 
-def fit_cautions(source: Results, rare: float = 0.0) -> Iterator[Fact]:
-    """Yield doubts about fits, of which more than a share ``rare`` have too large a column."""
+def fit_cautions(source: Results) -> Iterator[Fact]:
+    """Yield doubts about fits; about draws, if too large a share of them is doubtful."""
     if "gravity_fit" not in source.study.methods:
         return
     try:
         rows = source.rows(_FIT_DOUBTS)
     except InputError:  # results of a version that does not have these columns
         return
+    rare = 0.0 if source.study.is_recorded else _RARE
     for name, (limit, doubt) in _FIT_DOUBTS.items():
         values = analysis.numeric_column(rows, name)
         values = values[np.isfinite(values)]
         above = values[values > limit]
         if above.size > rare * values.size:
             which = f" ({above.size:,} of {values.size:,} fits)" if values.size > 1 else ""
-            yield caution(doubt.format(above.max()) + which)
+            yield caution(f"the fit has {doubt.format(above.max())}{which}")
 
 
 def condition_table(outcome: SweepOutcome) -> Table | None:
@@ -403,16 +375,15 @@ def condition_table(outcome: SweepOutcome) -> Table | None:
     axis = choices.most_influential_axis(time_s)
     if axis is None:
         return None
-    without = choices.with_resets(0)
     header = ["settled (%)", "settles after, mean (s)", "error, rms (arcmin)"]
     if len(choices.options) > 1:
-        rival = "no reset (s)" if without else "best overall (s)"
-        header = [f"best {choices.option_noun}", "settles after, mean (s)", rival]
+        rival = "no reset (s)" if choices.without_resets else "best overall (s)"
+        header = ["best option", "settles after, mean (s)", rival]
     rows = []
     for point, conditions in choices.conditions_by_point(axis).items():
         here = outcome.select_conditions(conditions)
         if len(choices.options) > 1:
-            best, other = here.best, here.best_of(without or [overall])
+            best, other = here.best, here.best_of(choices.without_resets or [overall])
             cells = [choices.options[best], here.format_settling(best), here.format_settling(other)]
         else:
             share = format_percent(here.success_share(0))

@@ -146,11 +146,6 @@ def is_condition_key(key: str) -> bool:
     return key in INITIAL_KEYS or SECTION_OF.get(key) in ("earth", "motion", "sensors")
 
 
-def is_method_setting(key: str) -> bool:
-    """Return whether a key is a setting of a method, which a user may choose."""
-    return SECTION_OF.get(key) in SECTIONS_OF_METHODS
-
-
 @cache
 def effect_conditions(key: str) -> tuple[KeyCondition, ...]:
     """Return the conditions under which a key has an effect."""

@@ -407,7 +407,7 @@ class RecordSection(Section):
         otherwise="0, 0, 0",
     )
     time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
-        "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time or times of day",
+        "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time",
         otherwise="'s'",
     )
     time_scale: vt.Factor | None = field("multiplier of the time stamps", otherwise="1")

@@ -396,12 +396,6 @@ class Study(_SectionsOfMethods):
         _, first = np.unique(codes, return_index=True)
         return first[codes]
 
-    def idle_keys(self) -> list[str]:
-        """Return the swept keys whose values differ between variants with the same runs."""
-        first = self.duplicate_of
-        codes = {key: self.coded(key).codes for key in self.axis_keys if key != "case"}
-        return [key for key, of_key in codes.items() if np.any(of_key != of_key[first])]
-
     def _effective_column(self, key: str) -> CodedColumn:
         """Return the values of a key over the variants; all values without effect are equal."""
         coarse = COARSE_START if key in INITIAL_KEYS and self.coarse else ()

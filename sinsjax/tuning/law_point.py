@@ -65,8 +65,8 @@ def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> Toml
     """Return the values of the keys of schedules by the law, from a point with any schedule.
 
     Raises:
-        InputError: no method has the law, or a key that it needs is drawn, swept or missing.
-        NoSchedule: the law has no schedule.
+        InputError: no method has the law, or a key that it needs is drawn or missing.
+        NoSchedule: the law has no schedule, or a key of it is swept.
     """
     assert study.tune is not None
     keys, band = study.tune.variables, study.tune.objective_band_arcmin * ARCMIN
@@ -101,6 +101,5 @@ def _largest_heading_deg(study: Study) -> float | None:
 def _only_value(study: Study, key: str) -> Any:
     first, *rest = study.combinations(key)
     if rest:
-        text = "must have one value (use a study without a sweep of it)"
-        raise InputError(f"{study.name}: {key} {text}")
+        raise NoSchedule(f"{key} is swept")
     return first[key]

@@ -140,7 +140,7 @@ def test_tuning_report_is_built_from_stored_files(made: Path, tmp_path: Path) ->
     for text in (said, page):
         assert "root mean square heading error at the end, worst over 2 variants" in text
         assert "on 4 unused draws" in text and "evaluations on 3 Monte Carlo runs" in text
-        assert "at 41.7 % of its cost" in text
+        assert "41.7 %" in text  # of the cost of the grid
         assert "5, 10" in text and "Candidates on the unused draws" in text
     assert "<h1>swing" in page and page.count("data:image/png;base64,") == 1
     pictures = {path.name for path in (made / "figures").iterdir()}

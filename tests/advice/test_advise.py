@@ -249,13 +249,6 @@ def test_shipped_sheet_names_its_source_and_has_no_doubt(name):
     assert read_sheet(None, imu=name, latitude_deg=45.0).doubts == ()
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", shipped_sheets())
-def test_shipped_sheet_is_advised(name):
-    advice = sinsjax.advise(imu=name, latitude_deg=45.0, time_s=60.0)
-    assert advice.heading.time_s == 60 and advice.heading.rms_arcmin > 0
-
-
 def test_command_prints_one_screen_and_writes_a_study(tmp_path, monkeypatch, capsys):
     command = command_line(monkeypatch, capsys)
     sheet, study = tmp_path / "my.toml", tmp_path / "check.toml"

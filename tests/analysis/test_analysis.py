@@ -5,10 +5,8 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
-from scipy import stats
 
 from sinsjax import analysis
-from sinsjax.analysis import tables
 from sinsjax.analysis.grids import Grid
 from sinsjax.errors import InputError
 
@@ -50,8 +48,7 @@ def same(found, estimate):
 
 @pytest.mark.parametrize("dictionary", [False, True])
 @pytest.mark.parametrize("by", [["case"], ["case", "reset_times_s"], ["reset_times_s", "case"], []])
-def test_groups_match_naive_loop(by, dictionary, monkeypatch):
-    monkeypatch.setattr(tables, "_SLICE", 4)
+def test_groups_match_naive_loop(by, dictionary):
     label = pa.array(["b", "a", None, "b", "a", "b"])
     times = pa.array([[50.0], [], [50.0], [50.0], None, [50.0, 100.0]])
     columns = {"case": label.dictionary_encode() if dictionary else label, "reset_times_s": times}
@@ -117,14 +114,12 @@ def test_summarise_returns_one_row_per_group():
     assert (first["n"], first["nonfinite"], second["nonfinite"]) == (12, 1, 0)
     finite, never = np.array(yaw[:-1]), [*settle[:6], *[NEVER] * 6]
     for name, estimate in {
-        "success_rate": analysis.proportion(6, 12),
-        "diverged_rate": analysis.proportion(3, 12),
+        "success_rate": analysis.share(np.arange(12) < 6),
+        "diverged_rate": analysis.share(np.arange(12) < 3),
         "settle_10_s_median": analysis.quantile(never),
         "settle_10_s_q90": analysis.quantile(never, 0.9),
         "settle_10_s_mean": analysis.mean(settle[:6]),
         "phi_u_mean_arcmin_mean": analysis.mean(finite),
-        # The runs ended in four ways, so quantiles stand for the standard deviation.
-        "phi_u_mean_arcmin_std": analysis.UNKNOWN,
         "phi_u_mean_arcmin_q10": analysis.quantile(finite, 0.1),
         "phi_u_mean_arcmin_median": analysis.quantile(finite),
         "phi_u_from_floor_arcmin_mean": analysis.mean(finite + 27.0),
@@ -134,10 +129,6 @@ def test_summarise_returns_one_row_per_group():
         "nis_u_mean": analysis.mean(np.linspace(0.2, 2, 12)),
     }.items():
         same(ends(first, name), estimate)
-    same(ends(second, "phi_u_mean_arcmin_std"), analysis.std(np.linspace(-28.0, -26.0, 12)))
-    for name, freedom in (("nees_mean", 3), ("nis_u_mean", 1)):
-        band = stats.chi2.ppf([0.025, 0.975], freedom * 12) / 12
-        assert [first[f"{name}_chi2_{end}"] for end in ("low", "high")] == pytest.approx(list(band))
     assert (first["never_settled_10"], second["never_settled_10"]) == (6, 0)
     assert (first["settle_10_s_mean_n"], first["phi_u_mean_arcmin_mean_n"]) == (6, 11)
 
@@ -167,7 +158,7 @@ def test_summarise_without_truth_returns_nulls():
     draws = pa.array(np.repeat(np.arange(6), 2))
     both = table.set_column(0, "draw_id", draws).append_column("case", pa.array([*"ab"] * 6))
     ((key, found),) = analysis.compare_with_baseline(both, ["case"], {"case": "a"}).groups
-    assert (key, found.pop("n").value) == ({"case": "b"}, 6)
+    assert (key, found.pop("n")) == ({"case": "b"}, 6)
     assert {*found.values()} == {analysis.UNKNOWN}
 
 
@@ -210,7 +201,6 @@ def test_summarise_pools_runs_clustered_by_draw():
     status = np.where(draws < 3, "not_settled", "ok")
     (row,) = analysis.summarise(summary_table(48, draw_id=draws, status=status), []).to_pylist()
     same(ends(row, "success_rate"), analysis.share(status == "ok", draws))
-    assert row["nees_mean"] and row["nees_mean_chi2_low"] is None  # a band of independent runs
 
 
 # --- comparison with a baseline -----------------------------------------------------------------
@@ -239,7 +229,7 @@ def test_compare_pairs_by_draw():
     table, key = pa.concat_tables(parts), ["reset_times_s"]
     groups = analysis.compare_with_baseline(table, key, {"reset_times_s": ()}).groups
     (_, first), (last, second) = groups
-    assert last == {"reset_times_s": [50.0, 100.0]} and first["n"].value == 40
+    assert last == {"reset_times_s": [50.0, 100.0]} and first["n"] == 40
     # The same settling times 30 s later, so no interval, though draws differ by far more.
     same(first["settle_10_s_median_difference"][:3], (30.0, 30.0, 30.0))
     assert second["settle_10_s_median_difference"].value == NEVER
@@ -261,5 +251,5 @@ def test_summarise_and_compare_give_no_intervals_on_record():
     both = pa.concat_tables([table.append_column("case", [[name] * 12]) for name in "ab"])
     assert {v for name, v in row.items() if name.endswith(("_low", "_high"))} == {None}
     ((_, found),) = analysis.compare_with_baseline(both, ["case"], {"case": "a"}).groups
-    assert found["settle_10_s_median_difference"].value == 0.0
+    assert found["settle_10_s_median_difference"].value == 0.0 and found.pop("n") == 12
     assert all(np.isnan(one[1:3]).all() for one in found.values())

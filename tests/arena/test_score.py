@@ -193,7 +193,6 @@ READINGS = {
     "is yaw mirrored": lambda angles: angles * [1, 1, -1],
     "are the angles in radians": np.radians,
     "is yaw off by 90 deg": lambda angles: angles + [0, 0, 90],
-    "are the angles in radians and is yaw mirrored": lambda a: np.radians(a * [1, 1, -1]),
     "is the scalar of the quaternions last": lambda a: np.roll(quaternions(a), -1, axis=-1),
     "are the quaternions from navigation to body axes": lambda a: quaternions(a) * [1, -1, -1, -1],
 }

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 from support.commands import Command, command_line
+from support.record_files import write_psins
 from support.studies import PAPER, small_study
 
 import sinsjax
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.records import write_psins
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 

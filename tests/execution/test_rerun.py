@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 from support.commands import command_line
+from support.record_files import write_psins
 from support.stored_results import write_part
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study
@@ -20,7 +21,7 @@ from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
 from sinsjax.execution.tables import replace_column
 from sinsjax.execution.tasks import Job
-from sinsjax.records import PSINS_LAYOUT, read_psins, write_psins
+from sinsjax.records import PSINS_LAYOUT, read_psins
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from support.studies import STILL, small_study
 from support.sweep_directories import read_manifest_entries, read_parts
 
-from sinsjax.analysis import mean, proportion
+from sinsjax.analysis import mean, share
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
@@ -71,7 +71,7 @@ def test_interim_analysis_matches_naive_count(
         }
     )
     own = [[settle[d * variants + v] for d in range(draws)] for v in range(variants)]
-    shares = [proportion(sum(s is not None for s in values), draws) for values in own]
+    shares = [share([s is not None for s in values]) for values in own]
     means = [mean(np.array(values, float)) for values in own]
     axes = {"phi_u0_deg": [float(v) for v in range(variants)]}
     for statistic, widths, half_width in (

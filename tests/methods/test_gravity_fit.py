@@ -13,8 +13,7 @@ import sinsjax
 from sinsjax.execution.results import Results
 from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
 from sinsjax.methods.gravity_fit.noise import SensorNoise
-from sinsjax.report.attitude import attitude_verdict
-from sinsjax.report.verdict import sweep_verdict
+from sinsjax.report.monte_carlo import build_verdict
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3
 
@@ -133,7 +132,7 @@ def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
         (settled,) = results.summary.select([f"settle_{band}_truth_s"])
         times = {time for time in settled.to_pylist() if time is not None}
         assert len(times) > 1 and times <= refits
-    found = sweep_verdict(Results(given, None, tables={"summary": results.summary}))
+    found = build_verdict(Results(given, None, tables={"summary": results.summary}))
     texts = dict((fact.label, fact.text) for fact in found.facts)
     assert texts["Refits"] == (
         "gravity_fit refits after about 4, 8, 16, ... s, at report_times_s and at the end: only"
@@ -141,8 +140,8 @@ def test_it_settles_at_its_refits_alone_and_the_verdict_says_so() -> None:
     )
 
 
-@pytest.mark.parametrize("verdict", [sweep_verdict, attitude_verdict])
-def test_doubts_about_fits_are_cautions_of_every_verdict(verdict: Any) -> None:
+@pytest.mark.parametrize("truth", [True, False])
+def test_doubts_about_fits_are_cautions_of_every_verdict(truth: bool) -> None:
     """Of 16 runs, of which two have one column beyond its limit."""
     given, none = study(16), np.zeros(16)
     usual = {"fit_misfit": 1.0, "fit_prior_ratio": 2.9, "fit_change": 0.1}
@@ -152,8 +151,8 @@ def test_doubts_about_fits_are_cautions_of_every_verdict(verdict: Any) -> None:
         changed = np.where(np.arange(16) < 2, 3.14, columns.get(name, none))
         made = columns | ({} if name == "none" else {name: changed})
         values = {column: value.tolist() for column, value in made.items()}
-        summary = synthetic_summary(given, **values)
-        facts = verdict(Results(given, None, tables={"summary": summary})).facts
+        summary = synthetic_summary(given, truth=truth, **values)
+        facts = build_verdict(Results(given, None, tables={"summary": summary})).facts
         doubts = [fact.text for fact in facts if fact.is_caution and "the fit" in fact.text]
         assert len(doubts) == (name != "none")
         assert all("3.1" in text and text.endswith("(2 of 16 fits)") for text in doubts)

@@ -11,9 +11,8 @@ from matplotlib.image import imread
 from scipy import stats
 
 import sinsjax
-from sinsjax import analysis, plots
+from sinsjax import plots
 from sinsjax.errors import InputError
-from sinsjax.plots.comparison import has_significant_effect
 from sinsjax.plots.consistency import SHARE_COLUMNS
 
 SETTLE = {  # s, by number of resets, cycle and start; None never settles
@@ -132,20 +131,6 @@ def test_map_of_unusable_runs_is_refused(table, value, line):
 
 
 # --- plot_compare -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("ends", "expected"),
-    [
-        ([(10.0, 9.0, 11.0), (14.5, 13.5, 15.5)], True),
-        ([(10.0, 9.0, 11.0), (13.5, 12.5, 14.5)], False),  # bars of twice the length overlap
-        ([(10.0, 9.0, 11.0), (np.inf, 12.0, np.inf)], True),
-        ([(np.nan, np.nan, np.nan), (10.0, 9.0, 11.0)], False),
-    ],
-)
-def test_key_acts_if_values_lie_far_outside_each_others_intervals(ends, expected):
-    line = [analysis.Estimate(*numbers, 9) for numbers in ends]
-    assert has_significant_effect({"x": {"a": line}}) == expected
 
 
 @pytest.mark.parametrize("key", ["reset_count", "reset_times_s", "phi_u0_deg", "status"])

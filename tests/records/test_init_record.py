@@ -14,13 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.commands import Command
+from support.record_files import from_body_axes, write_psins
 from support.refusals import assert_named
 from support.studies import STILL, small_study
+from support.turning_logs import turned_record
 
 import sinsjax as package
 from sinsjax.errors import InputError
-from sinsjax.records import write_psins
-from sinsjax.records.layout import NAMED_AXES, from_body_axes
 from sinsjax.study.from_record import make_study_text
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -62,8 +62,7 @@ def mems(body: Samples, bias_deg_per_h: Sequence[float] = (500.0, -800.0, 700.0)
 
 
 def in_axes(body: Samples, axes: str) -> Samples:
-    order = NAMED_AXES[axes]
-    return from_body_axes(body[0], order), from_body_axes(body[1], order)
+    return from_body_axes(body[0], axes), from_body_axes(body[1], axes)
 
 
 def write(path: Path, columns: Sequence[np.ndarray], names: Sequence[str] = NAMES) -> Path:
@@ -93,22 +92,20 @@ def align(path: Path, **answers: Any) -> dict[str, Any]:
     return row
 
 
-def assert_truth(row: dict[str, Any], *, heading_deg: float = 1.5, level_deg: float = 0.01) -> None:
-    assert (row["heading_deg"] - TRUTH[0] + 180) % 360 - 180 == pytest.approx(0, abs=heading_deg)
-    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=level_deg)
+def assert_truth(row: dict[str, Any]) -> None:
+    assert (row["heading_deg"] - TRUTH[0] + 180) % 360 - 180 == pytest.approx(0, abs=1.5)
+    assert (row["pitch_deg"], row["roll_deg"]) == pytest.approx(TRUTH[1:], abs=0.01)
 
 
 # --- names that tell
 
-MILLI = 1e-3
 CLEAN = {
     "VectorNav": ("frd", "Time [s]", 1, "AngularRate_@ [rad/s]", 1, "Accel_@ [m/s^2]", 1),
-    "Bosch": ("flu", "t[ms]", 1e3, "gyro_@[mdeg/s]", MILLI * DEG, "acc_@[mg]", MILLI * G),
+    "mg": ("flu", "t[ms]", 1e3, "gyro_@[deg/s]", DEG, "acc_@[mg]", 1e-3 * G),
     "EuRoC": ("flu", "timestamp [ns]", 1e9, "w_RS_S_@ [rad s^-1]", 1, "a_RS_S_@ [m s^-2]", 1),
     "m/sec2": ("flu", "Time", 1, "Gyro@[deg/s]", DEG, "Acc@[m/sec2]", 1),
     "MicroStrain": ("frd", "GPS TOW", 1, "@ Gyro [x8005]", 1, "@ Accel [x8004]", G),
     "ROS": ("flu", "header.stamp", 1e9, "angular_velocity.@", 1, "linear_acceleration.@", 1),
-    "ArduPilot": ("frd", "TimeUS", 1e6, "Gyr@", 1, "Acc@", 1),
     "PX4": ("frd", "timestamp", 1e6, "gyro_rad[@]", 1, "accelerometer_m_s2[@]", 1),
     "deg/h and ug": ("flu", "t", 1, "w@ [deg/h]", DEG / 3600, "f@ [ug]", 1e-6 * G),
     "increments": ("flu", "time_s", 1, "dtheta_@ [deg]", DEG * RATE, "dv_@ [m/s]", RATE),
@@ -116,48 +113,29 @@ CLEAN = {
     "mixed": ("flu", "time_s", 1, "gyro_@ (rad/s)", 1, "dv_@ (m/s)", RATE),
     "units behind": ("flu", "time_ms", 1e3, "g@_dps", DEG, "a@_mps2", 1),
     "words of units": ("frd", "tow", 1e3, "gyro_@_rad_s", 1, "accel_@_m_s2", 1),
-    "axes before": ("flu", "t", 1, "@_gyro_mrad/s", MILLI, "@ Acc (cm/s2)", 0.01),
+    "axes before": ("flu", "t", 1, "@_gyro_rad/s", 1, "@ Acc (m/s2)", 1),
 }
 """Axes, and the name and unit of time, gyros and accelerometers."""
 
 
-def clean_logs(body: Samples, folder: Path) -> dict[str, Path]:
-    """Write logs whose names state everything but the latitude."""
-    logs: dict[str, tuple[list[np.ndarray], Sequence[str]]] = {}
-    for name, (axes, time, to_time, gyro, rad_per_s, accel, m_per_s2) in CLEAN.items():
-        g, a = in_axes(body, axes)
-        letters = {"PX4": "012", "ArduPilot": "XYZ", "axes before": "123"}.get(name, "xyz")
-        names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in letters]
-        logs[name] = [TIME * to_time, g / rad_per_s, a / m_per_s2], [time, *names]
-    (gyro, accel), (frd, _), (flu, flu_accel) = body, in_axes(body, "frd"), in_axes(body, "flu")
-    turns = [f"{turn}Rate (deg/s)" for turn in ("Roll", "Pitch", "Yaw")]
-    ways = [f"acc_{way}" for way in ("right", "front", "up")]
-    logs["roll rate"] = [TIME, gyro[:, [1, 0, 2]] / DEG, accel], ["time", *turns, *ways]
-    frd_names = [f"gyro_{way} (rad/s)" for way in ("front", "right", "down")]
-    logs["two orders"] = [TIME, frd, accel], ["time", *frd_names, *ways]
+@pytest.mark.parametrize("name", CLEAN)
+def test_logs_whose_names_tell_are_silent_and_read_in_body_axes(name, body, tmp_path):
+    axes, time, to_time, gyro, rad_per_s, accel, m_per_s2 = CLEAN[name]
+    rates, forces = in_axes(body, axes)
+    letters = {"PX4": "012", "axes before": "123"}.get(name, "xyz")
+    names = [pattern.replace("@", axis) for pattern in (gyro, accel) for axis in letters]
     attitude = np.tile([1.0, -2.0, -35.0], (len(TIME), 1))
-    logs["beside attitude"] = [TIME, flu, flu_accel, attitude], [*UNITS, "pitch", "roll", "yaw"]
-    negative = [n.replace("_y", "_neg_y") for n in UNITS]
-    rfu = np.column_stack([gyro, accel])
-    logs["negative"] = [TIME, rfu * [1, -1, 1, 1, -1, 1]], [f"rfu_{n}" for n in negative]
-    logs["force without gravity beside"] = (
-        [TIME, flu, flu_accel - flu_accel.mean(axis=0), flu_accel],
-        [*UNITS[:4], *(f"linear_accel_{a}" for a in XYZ), *(f"total_accel_{a}" for a in XYZ)],
-    )
-    return {name: write(folder / f"{k}.csv", *log) for k, (name, log) in enumerate(logs.items())}
-
-
-def test_logs_whose_names_tell_are_silent_and_read_in_body_axes(body, tmp_path):
-    for name, path in clean_logs(body, tmp_path).items():
-        study, questions, doubts = read_study(path)
-        assert ([*questions], doubts) == (["latitude_deg"], []), name
-        assert study["alignment"] == {"method": "inertial"}, name
-        assert re.search(r"the gyros give 4[78]\.\d", questions["latitude_deg"]), name
-        answered, *said = read_study(path, earth__latitude_deg=48.0)
-        assert said == [{}, []], name
-        record = package.load_increments(package.study_from_dict(answered), path).record
-        np.testing.assert_allclose(record.dtheta * RATE, body[0], rtol=1e-9, err_msg=name)
-        np.testing.assert_allclose(record.dv * RATE, body[1], rtol=1e-9, err_msg=name)
+    columns = [TIME * to_time, rates / rad_per_s, forces / m_per_s2, attitude]
+    path = write(tmp_path / "log.csv", columns, [time, *names, "pitch", "roll", "yaw"])
+    study, questions, doubts = read_study(path)
+    assert ([*questions], doubts) == (["latitude_deg"], [])
+    assert study["alignment"] == {"method": "inertial"}
+    assert re.search(r"the gyros give 4[78]\.\d", questions["latitude_deg"])
+    answered, *said = read_study(path, earth__latitude_deg=48.0)
+    assert said == [{}, []]
+    record = package.load_increments(package.study_from_dict(answered), path).record
+    np.testing.assert_allclose(record.dtheta * RATE, body[0], rtol=1e-9)
+    np.testing.assert_allclose(record.dv * RATE, body[1], rtol=1e-9)
 
 
 def test_stated_unit_holds_and_gyros_without_north_level(body, sinsjax, tmp_path):
@@ -199,16 +177,21 @@ COLUMNS = {"gyro_columns": [*"abc"], "accel_columns": [*"def"]}
         (
             GYROS + ACCELS,
             (131e3 / DEG, 16384 / G),
-            {"gyro_scale": "counts", "accel_scale": "6.1", "gyro_unit": "no name"},
+            {"accel_unit": "if these are counts, one is 6.1", "gyro_unit": "no name"},
         ),
         (FREE, (1, 1), {"gyro_columns": "b 4.0", "accel_columns": "f 9.8", "gyro_unit": "open"}),
         ((), (1, 1), {"gyro_columns": "column_1 15.02", "accel_columns": "column_7 9.8"}),
-        (TURN_RATES[:2] + ("spare",) + ACCELS, (1, 1), {"gyro_columns": "roll_rate"}),
+        (
+            tuple(f"gyro_{a} [mdeg/s]" for a in XYZ) + tuple(f"acc_{a} [cm/s2]" for a in XYZ),
+            (1e3 / DEG, 100),
+            {"gyro_unit": "no name", "accel_unit": "gravity in no unit"},
+        ),
         (UNITS[1:4] + tuple(f"accel_ned_{a}" for a in XYZ), (1, 1), {"accel_columns": "ned"}),
         (UNITS[1:] + ("gyro2_x", "gyro2_y", "gyro2_z"), (1, 1), {"gyro_columns": "gyro2_x"}),
         (tuple(f"frd_{n}" for n in UNITS[1:]), (1, 1), {"axes_order": "'frd'"}),
-        (UNITS[1:4] + WAYS, (1, 1), {"axes_order": "right, front and up"}),
-        (TURN_RATES + UNITS[4:], (1, 1), {"axes_order": "right, front and up"}),
+        (UNITS[1:4] + WAYS, (1, 1), {"accel_columns": "acc_up 9.8"}),
+        (UNITS[1:4] + ("accel_x", "accel_neg_y", "accel_z"), (1, 1), {"accel_columns": "neg_y"}),
+        (TURN_RATES + UNITS[4:], (1, 1), {"gyro_columns": "yaw_rate"}),
         (UNITS[1:], "up x", {"axes_order": "yzx"}),
     ],
 )  # fmt: skip
@@ -226,7 +209,6 @@ def test_what_names_do_not_tell_is_a_question(names, factors, asked, body, tmp_p
 @pytest.mark.parametrize(
     ("names", "factors", "answers"),
     [
-        (GYROS + ACCELS, (1 / DEG, 1 / G), {"gyro_unit": "deg_per_s"}),
         (ROS, (1 / DEG, 1 / G), {"gyro_unit": "deg_per_s"}),
         (
             GYROS + ACCELS,
@@ -264,7 +246,7 @@ def test_open_question_is_refused_until_answered(body, sinsjax, tmp_path):
 
 @pytest.mark.parametrize(
     ("column", "labels"),
-    [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("0", "1"))],
+    [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("7.5", "1.5"))],
 )
 def test_rows_of_sensors_in_turn_are_refused_with_the_way_on(column, labels, tmp_path):
     rows = [f"{labels[k % 2]},{k},1,2,3,4,5,6" for k in range(100)]
@@ -320,13 +302,13 @@ def test_mounting_gives_attitude_of_the_vehicle(body, tmp_path):
     assert_truth(align(path, record__mounting_deg=(0.0, 0.0, 90.0)))
 
 
-def test_longest_part_without_a_gap_is_aligned_and_short_gaps_are_filled(body, tmp_path):
+def test_longest_part_without_a_gap_is_aligned(body, tmp_path):
     table = np.column_stack([TIME, *in_axes(body, "flu")])
     table[400, 2] = np.nan
     path = write(tmp_path / "log.csv", [np.delete(table, [*range(100, 150)], axis=0)], UNITS)
-    study, _, doubts = read_study(path)
-    assert study["record"]["start_s"] == [6.0] and study["record"]["max_gap_s"] == 0.08
-    assert "a gap at 25 Hz" in doubts[0]
+    study, _, (gap,) = read_study(path, record__max_gap_s=0.08)
+    assert study["record"]["start_s"] == [6.0] and "a gap at 25 Hz" in gap
+    assert read_study(path)[0]["record"]["start_s"] == [17.0]
 
 
 def test_parquet_log_with_dates_becomes_study(body, tmp_path):
@@ -341,26 +323,30 @@ def test_parquet_log_with_dates_becomes_study(body, tmp_path):
 
 def test_psins_log_becomes_study_with_the_place_of_its_header(tmp_path):
     record = package.simulated_record(small_study(study={"duration_s": 40.0, "window_s": [0, 40]}))
-    write_psins(record, tmp_path / "car.imu")
+    write_psins(record._replace(latitude_deg=32.0), tmp_path / "car.imu")
     study, questions, _ = read_study(tmp_path / "car.imu")
-    assert study["record"]["format"] == "psins"
-    assert ("latitude_deg" in questions) == (record.latitude_deg is None)
+    assert study["record"]["format"] == "psins" and not questions
 
 
-@pytest.mark.parametrize(
-    ("columns", "names", "named"),
-    [
-        (slice(None), ("t", "gyro_x\u202e", *NAMES[2:]), r"column 'gyro_x\u202e'"),
-        (slice(0, 5), NAMES[:5], "found 5 columns; an IMU log needs at least 6"),
-    ],
-)
-def test_unusable_log_is_refused_in_one_line(columns, names, named, body, sinsjax, tmp_path):
-    table = np.column_stack([TIME, *in_axes(body, "flu")])[:, columns]
-    write(tmp_path / "log.csv", [table], names)
+@pytest.mark.parametrize("largest_deg_per_h", [50, 1200])
+def test_largest_bias_of_a_turned_base_is_asked(largest_deg_per_h, tmp_path):
+    """Nine static positions about the vertical: their means lack Earth rate, which turns show."""
+    turns = tuple(30.0 * k for k in range(1, 9)), (40.0,) * 8, 10.0
+    some = turned_record(turns, gyro_bias_deg_per_h=largest_deg_per_h)
+    time_s = np.arange(1, len(some.gyro) + 1) / some.rate_hz
+    names = [f"rfu_{name}" for name in UNITS]
+    study, questions, (doubt,) = read_study(
+        write(tmp_path / "log.csv", [time_s, some.gyro, some.accel], names)
+    )
+    assert study["alignment"]["method"] == "gravity_fit" and "turns by 3" in doubt
+    assert {*questions} == {"latitude_deg", "fit_gyro_bias_deg_per_h"}
+
+
+def test_log_with_too_few_columns_is_refused_in_one_line(body, sinsjax, tmp_path):
+    write(tmp_path / "log.csv", [np.column_stack([TIME, *body])[:, :5]], NAMES[:5])
     code, told, error = sinsjax("init", "record", "--from", "log.csv")
-    assert (code, told, error.count("\n")) == (2, "", 1)
-    assert error.startswith("error: log.csv: ") and named in error
-    assert not Path("log.toml").exists()
+    assert (code, told, error.count("\n")) == (2, "", 1) and not Path("log.toml").exists()
+    assert error.startswith("error: log.csv: found 5 columns")
 
 
 def test_warning_is_printed_once_on_standard_error(body, sinsjax: Command, tmp_path):

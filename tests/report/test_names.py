@@ -1,18 +1,20 @@
-"""Names from a study are printed literally in every medium, and no name breaks a report."""
+"""Reports in every medium: names are literal, the HTML page is whole, and no name breaks it."""
 
+import base64
 import io
+import re
 import sys
 import unicodedata
 from html import escape
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
 from rich.console import Console
-from support.stored_results import report_text, store_results, write_part
+from support.stored_results import report_text, store_results
 from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
 from support.synthetic_tables import synthetic_summary
@@ -20,12 +22,11 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import console as screen
 from sinsjax import report
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import read_manifest
 from sinsjax.messages import CONTROL
-from sinsjax.report.base import Fact, Report, Table
+from sinsjax.report.base import Fact, Picture, Report, Table
 from sinsjax.report.markdown import escape_markdown, to_html
 
-pytestmark = pytest.mark.optimised(False)
+pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 NASTY = (
     "[/b]",
@@ -35,26 +36,33 @@ NASTY = (
     "a|b",
     "`tick",
     "*star* _under_ a_b",
-    "[link](http://x) ![image](y)",
+    "[link](http://x) ![image](y) <http://z>",
     ":smile: &amp; ~~gone~~",
     "\\back\\",
     "# heading",
     "- item",
+    "1. number",
 )
-NAME = "[/b] <script>x</script> $x^$ ../../a"
+ODD = "\x1b[2J\u202e"
+"""Text that a file may contain, which terminal and pages must show harmlessly."""
+PNG = b"\x89PNG\r\n\x1a\n-the picture"
 
 
-def store_nasty_results(directory: Path) -> Path:
-    """Results of a study with the worst possible names."""
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """Results of a study whose names are nasty."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
-    unbiased = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
-    study = small_study(study={"name": NAME, "draws": 2}, cases=cases, sensors=unbiased)
-    return store_results(directory, study, synthetic_summary(study))
+    study = small_study(study={"name": "[/b] <script>x</script> ../../a", "draws": 2}, cases=cases)
+    return store_results(tmp_path / "results", study, synthetic_summary(study))
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return store_nasty_results(tmp_path_factory.mktemp("names") / "results")
+def whole_report(text: str) -> Report:
+    """A report that has a text in all of its parts."""
+    picture = Picture("fig", text, Figure())
+    picture.figure.suptitle(text)
+    table = Table(text, [text], [[text]], text)
+    blocks = [text, table, picture]
+    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -65,81 +73,79 @@ def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
     assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
 
 
-DOCTORED = "a\x1b]0;x\x07\x7f\u202e\u2028\u061c\udcff|`<script>x</script> --> b\nWarning: c"
-"""Text that a file may contain, which terminal and pages must show harmlessly."""
-
-
-@pytest.mark.usefixtures("drawn_on_request")
-def test_control_characters_from_results_are_escaped_in_every_medium(tmp_path: Path) -> None:
-    directory = store_nasty_results(tmp_path / "results")
-    part = directory / "summary" / "part-0000-000000.parquet"
-    table = pq.read_table(part)
-    cases = [f"{case}\x1b[2J\u202e\n" for case in table["case"].to_pylist()]
-    table = table.set_column(table.column_names.index("case"), "case", pa.array(cases))
-    write_part(part, table, read_manifest(directory)["identity"])
-    doctored = {"config": DOCTORED, "warnings": [DOCTORED], "versions": {"sinsjax": DOCTORED}}
-    rewrite_manifest(directory, **doctored)
-    page = tmp_path / "page\x1b\u202e.html"
-    said = report_text(directory, html=page)
+def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: Path) -> None:
+    doctored = f"a{ODD}<script>x</script>\nWarning: c"
+    changed = {"config": doctored, "warnings": [doctored], "versions": {"sinsjax": doctored}}
+    rewrite_manifest(results, **changed)
+    page = results.parent / "page\x1b\u202e.html"
+    printed = report_text(results, html=page)
     written = page.read_text()
-    for text in (said, written):
+    for text in (printed, written):
         assert not CONTROL.search(text.replace("\n", "")) and "\nWarning: c" not in text
-    assert "<script" not in written
-    assert r"Warning   a\x1b]0;x\x07\x7f\u202e \u061c\udcff|`<script>" in said
+    assert "<script" not in written and r"Warning   a\x1b[2J\u202e<script>" in printed
     for name in NASTY:
-        cell = "<td>" + escape(name, quote=False) + r"\x1b[2J\u202e\n</td>"
-        assert cell in written, name
+        assert f"<td>{escape(name, quote=False)}</td>" in written and name in printed
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    results: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Control characters are escaped wherever they come from."""
     monkeypatch.setenv("COLUMNS", "200")
-    said, odd = Console(file=io.StringIO()), "\x1b[2J\u202e"
-    table = Table(f"title{odd}", [f"header{odd}"], [[f"cell{odd}"]], f"note{odd}")
-    row = Table(f"verdict{odd}", [f"head{odd}"], [[f"row{odd}"]])
-    facts = [Fact(f"label{odd}", f"fact{odd}")]
-    whole = Report(f"study{odd}", facts, row, [f"text{odd}", table])
-    report.print_report(whole, said, results)
-    report.print_report(whole, said, results, full=True)
-    page = to_html(f"name{odd}", [(whole, {})])
-    for text in (said.file.getvalue(), page):
+    printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
+    report.print_report(whole, printed, tmp_path, full=True)
+    for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
-        for part in ("study", "label", "fact", "text", "title", "header", "cell", "note"):
-            assert rf"{part}\x1b" in text, part
-    assert r"name\x1b" in page
+        assert text.count(r"part\x1b") >= 9
 
 
-def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
-    screen.print_warning("a\nb\x1b[2J\u202e")
-    assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
+def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
+    nasty = " ".join(NASTY)
+    text = to_html("<i>& so", [(whole_report(nasty), {"fig": PNG})])
+    assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
+    seen: list[str] = []
+    attributes: list[tuple[str, str | None]] = []
+    words: list[str] = []
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            seen.append(tag)
+            attributes.extend(attrs)
+
+        def handle_data(self, data: str) -> None:
+            words.append(data)
+
+    Reader(convert_charrefs=True).feed(text)
+    assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")} == {1}
+    assert not {"b", "a", "i"} & {*seen}
+    shown = "".join(words)
+    assert shown.count(nasty) == 11 and "<i>& so" in shown
+    (source,) = (value for name, value in attributes if name in ("src", "href") and value)
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
+    assert ("alt", nasty) in attributes
 
 
-def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
-    """Return the control characters of the Unicode database."""
-    explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
-    for letter in map(chr, range(sys.maxunicode + 1)):
-        expected = (
-            unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp")
-            or unicodedata.bidirectional(letter) in explicit
-            or letter in "\u061c\u200e\u200f"
-        )
-        assert bool(CONTROL.search(letter)) == expected, hex(ord(letter))
+def test_html_page_of_results_has_all_tables_and_figures_without_full(results: Path) -> None:
+    page = results.parent / "page.html"
+    printed = report_text(results, html=page, full=False)
+    for title in ("Heading error from true north", "Every variant", "Against "):
+        assert title in page.read_text() and title not in printed
+    figures = len(list((results / "figures").glob("*.png")))
+    assert page.read_text().count("data:image/png;base64,") == figures > 0
 
 
-@pytest.mark.parametrize("letter", ["\x1b", "\n", "\x00", "\x85", "\u2028", "\u202e"])
-def test_control_characters_in_names_are_refused(letter: str) -> None:
-    for place, changes in {
-        "[study] name": {"study": {"name": f"a{letter}b"}},
-        "[cases] case[1]": {"cases": [{"case": "a"}, {"case": f"b{letter}"}]},
-    }.items():
-        with pytest.raises(InputError) as error:
-            small_study(**changes)
-        line = str(error.value)
-        assert line.startswith(f"study: {place}: must not contain control characters")
-        assert letter not in line and line.isprintable()
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("results/study.toml/one", "--html .*one: cannot be written: .*is not a writable folder$"),
+        ("results", "--html .*results: is a folder, give the name of a file$"),
+    ],
+)
+def test_unwritable_page_is_refused_before_report_is_made(
+    results: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str
+) -> None:
+    monkeypatch.setattr(report.monte_carlo, "build_report", lambda source: pytest.fail("was made"))
+    with pytest.raises(InputError, match=message):
+        report_text(results, html=results.parent / name)
 
 
 def test_failed_report_is_one_line_and_keeps_the_results(
@@ -154,3 +160,33 @@ def test_failed_report_is_one_line_and_keeps_the_results(
         report_text(results)
     assert "\n" not in str(error.value)
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
+    screen.print_warning("a\nb\x1b[2J\u202e")
+    assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
+
+
+def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
+    """Compared with the Unicode database."""
+    explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+    for letter in map(chr, range(sys.maxunicode + 1)):
+        expected = (
+            unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp")
+            or unicodedata.bidirectional(letter) in explicit
+            or letter in "\u061c\u200e\u200f"
+        )
+        assert bool(CONTROL.search(letter)) == expected, hex(ord(letter))
+
+
+@pytest.mark.parametrize("letter", ["\x1b", "\n", "\u202e"])
+@pytest.mark.parametrize("place", ["[study] name", "[cases] case[1]"])
+def test_control_characters_in_names_are_refused(letter: str, place: str) -> None:
+    changes = {"[study] name": {"study": {"name": f"a{letter}b"}}}
+    changes["[cases] case[1]"] = {"cases": [{"case": "a"}, {"case": f"b{letter}"}]}
+    with pytest.raises(InputError) as error:
+        small_study(**changes[place])
+    line = str(error.value)
+    assert line.startswith(f"study: {place}: must not contain control characters")
+    assert letter not in line and line.isprintable()

@@ -1,23 +1,33 @@
+"""Tables and figures of a study, of its attitudes, and of unfinished ones."""
+
+import io
 import subprocess
 import sys
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from rich.console import Console
 from support.stored_results import report_text, store_results
-from support.studies import small_study, with_paper_values
+from support.studies import STILL, small_study, with_paper_values
 from support.synthetic_tables import FLOOR, synthetic_curves, synthetic_summary
 
 from sinsjax import analysis, report
 from sinsjax.analysis.formats import format_percent
+from sinsjax.errors import InputError
+from sinsjax.execution import run
 from sinsjax.execution.results import Results
-from sinsjax.methods import registry
-from sinsjax.report import axis_figures, base
-from sinsjax.report.consistency import consistency_blocks, covariance_cautions
-from sinsjax.report.monte_carlo import build_report
+from sinsjax.execution.tables import replace_column
+from sinsjax.report.base import Table
+from sinsjax.report.monte_carlo import (
+    build_report,
+    build_verdict,
+    comparison_table,
+    statistics_table,
+)
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
-
 
 UNBIASED = {"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": 0.0}
 
@@ -27,19 +37,19 @@ def results_of(study, **columns):
     return Results(study, None, tables={"summary": synthetic_summary(study, **columns)})
 
 
-def test_table_shows_success_settling_and_heading_statistics():
-    study = small_study(study={"draws": 40}, axes={"phi_u0_deg": [0.0, 30.0]})
-    settle = np.where(np.arange(80) % 4 == 1, np.nan, 20.0 + np.arange(80))
-    ok = np.where(np.isnan(settle), "not_settled", "ok")
-    source = results_of(study, settle_10_s=settle, status=list(ok))
-    _, row = report.monte_carlo.statistics_table(source, study.keys_shown, "").rows
-    share, median = analysis.proportion(20, 40), analysis.quantile(settle[1::2])
-    error = analysis.rms(source.summary["phi_u_arcmin"].to_numpy()[1::2])
-    cells = [format_percent(share), analysis.format_estimate(median, digits=0)]
-    assert row[:6] == ["30", "40", cells[0], cells[0], cells[1], cells[1]]
-    assert row[6] == analysis.format_estimate(error)
-    pooled = format_percent(analysis.share(ok == "ok", np.repeat(np.arange(40), 2)))
-    assert f"{pooled} % of the runs" in build_report(source).facts[1].text
+def facts_of(found):
+    return {fact.label: fact.text for fact in found.facts}
+
+
+def tables_of(found):
+    return {block.title: block for block in found.blocks if isinstance(block, Table)}
+
+
+def names_of(directory):
+    return {path.stem for path in (directory / "figures").iterdir()}
+
+
+# --- tables -------------------------------------------------------------------------------------
 
 
 def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
@@ -48,21 +58,17 @@ def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     text = report_text(store_results(tmp_path, study, synthetic_summary(study)))
     assert "study: 72 runs (60 distinct), none failed" in text
     assert "24 variants: each table has one key" in text
-    assert "4 of the 24 variants repeat another one, because reset_cycle_s has no effect" in text
-    assert "count repeated variants once: 60 of 72 runs." in text
-    table = text.partition("By reset_count")[2].partition("By reset_cycle_s")[0]
-    assert [line.split()[:2] for line in table.splitlines()[5:8]] == [
-        ["0", "12"],  # no cycle acts without resets
+    table = text.partition("Every variant, by reset_count")[2].partition("by reset_cycle_s")[0]
+    rows = [line.split()[:2] for line in table.splitlines()]
+    # No cycle acts without resets.
+    assert [row for row in rows if row[1:] in (["12"], ["24"])] == [
+        ["0", "12"],
         ["1", "24"],
         ["2", "24"],
     ]
     # 3 draws of 8 variants per row, all of which end well: as 3 runs, 0.025 ** (1 / 3).
     assert table.count("100 [29, 100]") == 6  # from the truth and from the bias floor
-    assert {path.stem for path in (tmp_path / "figures").iterdir()} == {
-        "settling_time",
-        "settling_time_floor",
-        "consistency",
-    }
+    assert names_of(tmp_path) == {"settling_time", "settling_time_floor", "consistency"}
 
 
 @pytest.mark.parametrize("axes", [{}, {"reset_count": [1, 2]}])
@@ -74,11 +80,10 @@ def test_variants_are_compared_with_first_of_same_conditions_on_same_noise(axes)
     settle = 50.0 + np.add.outer(np.arange(40.0), later).ravel()
     status = ["ok"] * (len(settle) - 1) + ["diverged"]
     source = results_of(study, settle_10_s=settle, status=status)
-    table = report.monte_carlo.first_variant_comparison_table(source)
-    assert ("variants also differ from it in phi_u0_deg" in table.note) == (study.n_variants == 2)
+    table = comparison_table(source)
     if study.n_variants == 4:
-        title = "Against number of resets 1 with the same phi_u0_deg, on the same noise"
-        assert table.title == title and [row[:2] for row in table.rows] == [["2", "0"], ["2", "30"]]
+        assert table.title == "Against number of resets 1, on the same noise"
+        assert [row[:2] for row in table.rows] == [["2", "0"], ["2", "30"]]
         assert all("7 [7, 7]" in row for row in table.rows)
         return
     (row,) = table.rows
@@ -89,19 +94,39 @@ def test_variants_are_compared_with_first_of_same_conditions_on_same_noise(axes)
     assert row[0] == "30" and {"100 [100, 100]", format_percent(share), error} <= {*row}
 
 
-def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
+def test_duplicate_variants_count_once_in_verdict_tables_and_shares():
+    """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
+    study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0, 3.0]})
+    right = np.tile([True] * 3 + [False] * 3, 3)
+    settle_s = np.where(right, 2.0, np.nan)
+    source = results_of(
+        study,
+        phi_u_arcmin=np.where(right, 1.0, 50.0),
+        status=list(np.where(right, "ok", "not_settled")),
+        settle_10_s=settle_s,
+        settle_10_truth_s=settle_s,
+    )
+    found = build_report(source)
+    assert found.title == "study: 18 runs (12 distinct), none failed"
+    assert facts_of(found)["Best"].startswith("no reset: every run settles")
+    keys = [row[:3] for row in tables_of(found)["Every variant"].rows]
+    assert keys == [["0", "-", "3"], ["1", "1", "3"], ["1", "2", "3"], ["1", "3", "3"]]
+    # A quarter of each of 3 draws: 2.5 % quantiles of Beta(3, 1), of the share and of the rest.
+    least = 0.025 ** (1 / 3)
+    (row,) = statistics_table(source, []).rows
+    ends = f"25 [{100 * least / 4:.0f}, {100 * (1 - 3 * least / 4):.0f}]"
+    assert row[0] == "12" and ends in row[1]
+
+
+# --- figures ------------------------------------------------------------------------------------
+
+
+def test_zipped_axes_are_plotted_as_one_axis():
     level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
     study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
-    assert study.axes_shown == {("phi_e0_deg",): (0.0, 5.0, 10.0), ("phi_u0_deg",): (0.0, 30.0)}
     settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
-    source = Results(
-        study,
-        None,
-        tables={"summary": synthetic_summary(study, settle_10_s=settle)},
-        directory=tmp_path,
-    )
-    blocks = {block.name: block for block in axis_figures.build_axis_figures(source)}
-    axes = blocks["settling_time"].figure.axes[0]
+    pictures = build_report(results_of(study, settle_10_s=settle), with_tables=False).pictures
+    axes = next(one for one in pictures if one.name == "settling_time").figure.axes[0]
     assert (axes.get_ylabel(), axes.get_xlabel()) == (
         "initial level error about east (deg)",
         "initial heading error (deg)",
@@ -109,62 +134,18 @@ def test_zipped_axes_are_plotted_as_one_axis(tmp_path):
     np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
 
 
+def test_list_valued_axis_is_plotted_as_categories():
+    study = small_study(study={"draws": 4}, axes={"reset_times_s": [[], [0.5], [0.5, 1.0]]})
+    pictures = build_report(results_of(study), with_tables=False).pictures
+    axes = next(one for one in pictures if one.name == "along_axis").figure.axes[-1]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["none", "0.5", "0.5, 1"]
+    assert axes.get_xlabel() == "resets at (s)"
+
+
 def test_misalignment_figure_is_drawn_from_stored_curves(tmp_path):
     study = small_study(sensors=UNBIASED)
     report_text(store_results(tmp_path, study, synthetic_summary(study), synthetic_curves(study)))
-    names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert names == {"misalignment.png", "misalignment_level.png", "consistency.png"}
-
-
-def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
-    data = {
-        "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "name": "car"},
-        "earth": {"latitude_deg": 34.0},
-        "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
-    }
-    study = study_from_dict(with_paper_values(data))
-    summary = synthetic_summary(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
-    curves = synthetic_curves(study, truth=False)
-    text = report_text(store_results(tmp_path, study, summary, curves))
-    assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"attitude.png"}
-
-
-def test_headings_too_far_east_are_not_within_the_band_at_the_end():
-    study = small_study(study={"judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 30.0]})
-    source = results_of(study)
-    assert (source.summary["phi_u_arcmin"].to_numpy() < -20).all()
-    texts = [fact.text for fact in build_report(source).facts]
-    assert any("every heading error from 0 to 30 deg settles" in text for text in texts)
-    assert any(text.endswith(", 0 [0, 71] % of north") for text in texts)
-
-
-def test_heading_error_table_shows_rms_and_quantile_per_time():
-    """Headings to the left and right do not cancel."""
-    size, sign = np.linspace(200.0, 400.0, 64), np.tile([1.0, -1.0], 32)
-    study = small_study(study={"draws": 64, "report_times_s": [3]})
-    errors = {"phi_u_arcmin": sign * size, "phi_u_at_3_arcmin": 2 * sign * size}
-    table = report.monte_carlo.heading_error_table(results_of(study, **errors), [], "Heading error")
-    rms, q90 = np.sqrt(np.mean(size**2)), np.sort(size)[57]
-    for row, at, factor in zip(table.rows, ("3 s", "the end"), (2, 1), strict=True):
-        assert row[:2] == ["64", at] and row[2].startswith(f"{factor * rms:.0f} [")
-        assert row[3].startswith(f"{factor * q90:.0f} [")
-    few = results_of(small_study(study={"draws": 16}))
-    note = report.monte_carlo.heading_error_table(few, [], "Heading error").note
-    assert "'few draws': too few to bound it" in note
-
-
-def test_impossible_covariance_of_plugin_is_a_caution(monkeypatch):
-    sigma = {f"sigma_{axis}_arcmin": np.ones(4) for axis in "en"}
-    sigma["sigma_u_arcmin"] = np.array([1.0, np.nan, 1.0, np.nan])
-    status = ["ok", "ok", "ok", "nonfinite"]
-    study, nees = small_study(study={"draws": 4}), np.array([3.0, 3, -1, np.nan])
-    source = results_of(study, status=status, nees=nees, **sigma)
-    assert not [*covariance_cautions(source)]
-    monkeypatch.setitem(registry.PACKAGES, "kalman5", ("bringing", "1.1"))
-    (fact,) = covariance_cautions(source)
-    line = "the covariance of kalman5 is negative or not finite at the end of 2 of 3 runs"
-    assert fact.is_caution and fact.text == line and fact in build_report(source).facts
+    assert names_of(tmp_path) == {"misalignment", "misalignment_level", "consistency"}
 
 
 @pytest.mark.parametrize(
@@ -178,42 +159,97 @@ def test_impossible_covariance_of_plugin_is_a_caution(monkeypatch):
 def test_consistency_with_unmodelled_biases_counts_from_bias_floor(biases, nis_u, title):
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]}, sensors=biases)
     source = results_of(study, nees=np.full(16, 9.0), nis_u=np.full(16, nis_u))
-    pictures = [b for b in consistency_blocks(source) if isinstance(b, base.Picture)]
-    assert len(pictures) == (title is not None)
-    for picture in pictures:
+    pictures = build_report(source, with_tables=False).pictures
+    found = [one for one in pictures if one.name == "consistency"]
+    assert len(found) == (title is not None)
+    for picture in found:
         assert picture.figure.get_suptitle().startswith(title)
-        assert ("heading error from the bias floor" in picture.caption) == ("floor" in title)
+        assert ("P excludes their floor" in picture.caption) == ("floor" in title)
 
 
-@pytest.mark.parametrize(("method", "explains"), [("kalman5", True), ("kalman10", False)])
-def test_drawn_unmodelled_biases_explain_high_nees(method, explains):
-    study = small_study(
-        study={"draws": 8},
-        drawn={"gyro_bias_deg_per_h": {"normal": [0.0, 0.5]}},
-        alignment={"method": method},
-        sensors={"accel_bias_ug": 0.0, "gyro_bias_deg_per_h": None},
-    )
-    runs = {"floor_arcmin": -12.0, "phi_u_arcmin": 13.5, "sigma_u_arcmin": 5.0, "nees": 1.8e4}
-    columns = {name: np.full(8, number) for name, number in runs.items()}
-    biases = [[0.0, 0.3, -0.7512]] * 8
-    source = results_of(study, gyro_bias_deg_per_h=biases, **columns)
-    text = " ".join(block for block in consistency_blocks(source) if isinstance(block, str))
-    for part in (
-        "A NEES of 3 cannot be expected here",
-        "gyros up to 0.751 deg/h, accelerometers up to 0 ug",
-        "in quadrature: 13.0 arcmin. The heading errors found are 13.5",
-    ):
-        assert (part in text) == explains
+# --- attitudes, methods without heading or covariance -------------------------------------------
+
+
+def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
+    data = {
+        "study": {"duration_s": 6.0, "rate_hz": 100.0, "window_s": [2, 6], "name": "car"},
+        "earth": {"latitude_deg": 34.0},
+        "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
+    }
+    study = study_from_dict(with_paper_values(data))
+    summary = synthetic_summary(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
+    curves = synthetic_curves(study, truth=False)
+    text = report_text(store_results(tmp_path, study, summary, curves))
+    assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
+    assert names_of(tmp_path) == {"attitude"}
+
+
+def run_methods(out, *methods):
+    settings = {"curves": True, "report_times_s": [3.0], "draws": 3}
+    unbiased = UNBIASED if "compass" in methods else {}
+    axes = {"method": [*methods]}
+    run.run_into(small_study(study=settings, motion=STILL, axes=axes, sensors=unbiased), out)
+    return Results.read(out)
+
+
+def test_study_of_level_alone_reports_pitch_and_roll(tmp_path):
+    source = run_methods(tmp_path / "out", "level")
+    found = build_report(source)
+    facts, table = facts_of(found), found.table
+    assert facts["Attitude"].startswith("pitch ") and "(1 sigma 17." in facts["Attitude"]
+    assert facts["Attitude"].endswith("(last draw)")
+    assert facts["Heading"] == "none: level finds pitch and roll alone"
+    assert facts["Accuracy"].endswith("' rms from the truth per angle")
+    assert table is not None and len(table.rows) == 3 and "unknown" not in str(table.rows)
+    assert [picture.name for picture in found.pictures] == ["misalignment_level"]
+    nulls = source.summary
+    for name in ("pitch_deg", "roll_deg"):
+        nulls = replace_column(nulls, name, pa.nulls(nulls.num_rows))
+    (fact, *_) = build_verdict(Results(source.study, None, tables={"summary": nulls})).facts
+    assert fact.is_caution and fact.text == "unknown, the run is not finite"
+
+
+@pytest.mark.nightly
+def test_methods_without_heading_or_covariance_are_reported_next_to_a_filter(tmp_path):
+    found = build_report(run_methods(tmp_path / "level", "kalman5", "level"))
+    facts = facts_of(found)
+    assert "kalman5" in facts["Best"] and facts["Others"] == "level: never"
+    row = next(row for row in tables_of(found)["Every variant"].rows if row[0] == "level")
+    assert row[2].startswith("0") and {"no bias floor", "never", "unknown"} <= {*row}
+    found = build_report(run_methods(tmp_path / "compass", "kalman5", "compass"))
+    names = {picture.name for picture in found.pictures}
+    assert {"misalignment", "misalignment_level", "consistency"} <= names
+
+
+# --- stopped and unfinished studies -------------------------------------------------------------
 
 
 def test_stopped_study_reports_reason_for_stopping(tmp_path):
-    """The reason follows from the rows alone, with the numbers of the rule."""
     rule = {"statistic": "success_rate", "half_width": 0.9}
     study = small_study(study={"draws": 100}, stop_when=rule)
-    summary = synthetic_summary(study).slice(0, 64)
-    source = Results.read(store_results(tmp_path, study, summary, state="complete"))
-    (why,) = (fact.text for fact in build_report(source).facts if fact.label == "Stopped")
-    assert "after 64 draws" in why and ", narrow enough" in why and "0.9" in why
+    source = Results.read(
+        store_results(tmp_path, study, synthetic_summary(study).slice(0, 64), state="complete")
+    )
+    why = facts_of(build_verdict(source))["Stopped"]
+    assert why == "every half-width of success_rate is at most 0.9"
+
+
+def test_unfinished_report_warns_with_share_of_runs(tmp_path):
+    """Of 100 draws and the first variant of another."""
+    out, page, console = tmp_path / "out", tmp_path / "page.html", Console(file=io.StringIO())
+    study = small_study(study={"draws": 300}, axes={"p0_yaw_deg": [10.0, 40.0, 60.0]})
+    out.mkdir()
+    summary = synthetic_summary(study).slice(0, 301)
+    store_results(out, study, summary, state="interrupted", wall_s=9.0)
+    report.print_reports([out], console, page)
+    text = " ".join(console.file.getvalue().split())
+    assert text.startswith("study: unfinished, 300 of 900 runs in ")
+    share = "unfinished: 301 of 900 runs are done"
+    assert f"{share}; shown are the 100 draws" in text
+    assert f"<strong>Warning:</strong> {share}" in page.read_text()
+    few = store_results(tmp_path / "few", study, summary[:2], state="interrupted")
+    with pytest.raises(InputError, match=r"unfinished: .* and no draw that every variant has"):
+        report.print_reports([few], console)
 
 
 def test_report_of_draws_starts_no_backend_of_jax_and_imports_no_statistics(tmp_path):

@@ -13,17 +13,17 @@ from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.base import Report
 from sinsjax.report.choices import Choices
-from sinsjax.report.verdict import process_noise_caution, sweep_verdict
+from sinsjax.report.monte_carlo import build_verdict
+from sinsjax.report.verdict import process_noise_caution
 from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 SWEEP = {"reset_count": [0, 1, 2], "reset_cycle_s": [1.0, 2.0], "phi_u0_deg": [5.0, 30.0, 60.0]}
-NEVER = np.inf
 
 
-def sweep_study(draws: int = 16, **changes: Any) -> Study:
-    return small_study(study={"draws": draws, "name": "sweep"}, axes=SWEEP, **changes)
+def sweep_study(draws: int = 16) -> Study:
+    return small_study(study={"draws": draws, "name": "sweep"}, axes=SWEEP)
 
 
 def facts_by_label(found: Report) -> dict[str, str]:
@@ -34,21 +34,24 @@ def facts_by_label(found: Report) -> dict[str, str]:
     return texts
 
 
-def verdict_from_times(study: Study, settle_s: np.ndarray) -> Report:
-    """The verdict on settling times (draws, variants), NaN for never."""
-    flags = np.isfinite(settle_s.ravel())
-    status = list(np.where(flags, "ok", "not_settled"))
-    names = ("settle_10_s", "settle_10_truth_s")
-    columns = dict.fromkeys(names, np.where(flags, settle_s.ravel(), np.nan))
-    summary = synthetic_summary(study, status=status, **columns)
-    return sweep_verdict(Results(study, None, tables={"summary": summary}))
+def verdict(study: Study, **columns: Any) -> dict[str, str]:
+    """The facts about a study whose summary has these columns."""
+    summary = synthetic_summary(study, **columns)
+    return facts_by_label(build_verdict(Results(study, None, tables={"summary": summary})))
+
+
+def settling(settle_s: np.ndarray) -> dict[str, Any]:
+    """The columns of settling times (draws, variants), NaN for never."""
+    status = list(np.where(np.isfinite(settle_s.ravel()), "ok", "not_settled"))
+    times = dict.fromkeys(("settle_10_s", "settle_10_truth_s"), settle_s.ravel())
+    return {"status": status, **times}
 
 
 def test_copies_of_a_variant_are_one_option() -> None:
     choices = Choices.from_study(sweep_study())
     resets = [f"{name} {time} s" for name in ("1 reset at", "2 resets, every") for time in (1, 2)]
     assert choices.options == ["no reset", *resets]
-    assert [choices.with_resets(count) for count in range(3)] == [[0], [1, 2], [3, 4]]
+    assert choices.without_resets == [0]
     runs = choices.runs(4)
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
@@ -68,104 +71,85 @@ def settling_times() -> np.ndarray:
 
 
 def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
-    found = verdict_from_times(sweep_study(), settling_times())
-    told = facts_by_label(found)
-    mean = analysis.mean((np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None]).ravel(), DRAW)
-    assert told["Best"] == (
-        "2 resets, every 2 s: every heading error from 5 to 60 deg settles,"
-        f" after {analysis.format_estimate(mean, 's', 0)} on average"
-    )
-    assert told["Others"].startswith("1 reset at 2 s: 68 [") and "no reset: 33 [" in told["Others"]
-    assert told["Draws"] == "16"
+    summary = synthetic_summary(sweep_study(), **settling(settling_times()))
+    found = build_verdict(Results(sweep_study(), None, tables={"summary": summary}))
+    facts, table = facts_by_label(found), found.table
+    times, draws = np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None], np.arange(16)
+    mean = analysis.format_estimate(analysis.mean(times.ravel(), np.repeat(draws, 3)), "s", 0)
+    assert facts["Best"] == f"2 resets, every 2 s: every run settles, after {mean} on average"
+    assert "s; no reset: 33 [" in facts["Others"]
     # Faster, and two failures on 16 draws do not tell it apart.
-    assert told["Not told apart"] == "1 reset at 1 s (on 16 draws)"
-    assert told["Success"] == "100 [79, 100] % within 10' of true north"
+    assert facts["Not told apart"] == "1 reset at 1 s (on 16 draws)"
+    assert facts["Success"] == "100 [79, 100] % within 10' of true north"
     assert found.title == "sweep: 288 runs (240 distinct), none failed"
-    table = found.table
     assert table is not None
     assert table.header == [
-        "heading error",
-        "best schedule",
-        "settles after, mean (s)",
-        "no reset (s)",
+        *("heading error", "best option", "settles after, mean (s)", "no reset (s)")
     ]
     assert [row[0] for row in table.rows] == ["5 deg", "30 deg", "60 deg"]
     assert [row[1] for row in table.rows] == ["1 reset at 1 s"] * 2 + ["2 resets, every 2 s"]
     assert table.rows[0][3].startswith("38 [") and table.rows[1][3] == "never"
 
 
-DRAW = np.repeat(np.arange(16), 3)
-
-
 def test_mean_time_of_few_settled_runs_stays_within_the_run() -> None:
     """Of 8 runs of 6 s two settle, far apart: Student's interval would be 8 times as long."""
     settle_s = np.full((8, 1), np.nan)
     settle_s[:2, 0] = 1.0, 5.0
-    told = facts_by_label(verdict_from_times(small_study(study={"draws": 8}), settle_s))
-    assert told["Settling"].endswith("% of the runs settle, after 3 [0, 6] s on average")
+    facts = verdict(small_study(study={"draws": 8}), **settling(settle_s))
+    assert facts["Settling"].endswith("% of the runs settle, after 3 [0, 6] s on average")
 
 
-def test_runs_that_never_settle_limit_the_accuracy() -> None:
+@pytest.mark.parametrize(
+    ("errors", "end"),
+    [((5.0, 500.0), ", mostly of runs that never settle"), ((5.0, 5.0), "bias floor (4.0')")],
+)
+def test_accuracy_is_limited_by_unsettled_runs_or_by_the_floor(errors: Any, end: str) -> None:
     study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [5.0, 60.0]}, sensors={})
-    never = np.tile([False, True], 8)
-    summary = synthetic_summary(
-        study,
-        ok_truth=~never,
-        phi_u_arcmin=np.where(never, 500.0, 5.0),
-        floor_arcmin=np.full(16, 4.0),
+    error = np.tile(errors, 8)
+    facts = verdict(
+        study, ok_truth=error < 10, phi_u_arcmin=error, floor_arcmin=np.full(error.size, 4.0)
     )
-    source = Results(study, None, tables={"summary": summary})
-    assert "mostly of runs that never settle" in facts_by_label(sweep_verdict(source))["Accuracy"]
-    near = synthetic_summary(study, phi_u_arcmin=np.full(16, 5.0), floor_arcmin=np.full(16, 4.0))
-    found = facts_by_label(sweep_verdict(Results(study, None, tables={"summary": near})))[
-        "Accuracy"
-    ]
-    assert found.startswith("5.0 [") and found.endswith("mostly bias floor (4.0')")
+    assert facts["Accuracy"].endswith(end)
 
 
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale: float | None, cautions: bool) -> None:
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*told,) = process_noise_caution(Results(study, None))
-    assert bool(told) == cautions
-    if told:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
-        assert told[0].text.startswith("Q is 100 times the sensors' noise") and told[0].is_caution
+    (*found,) = process_noise_caution(Results(study, None))
+    assert bool(found) == cautions
+    if found:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
+        assert found[0].text.startswith("Q is 100 times the sensors' noise") and found[0].is_caution
 
 
 def test_method_that_has_no_bias_floor_is_compared_from_the_truth() -> None:
     study = small_study(study={"draws": 8, "judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 9.0]})
-    flags = [True] * 15 + [None]
-    summary = synthetic_summary(study, ok_floor=flags)
-    found = sweep_verdict(Results(study, None, tables={"summary": summary}))
-    assert "of true north" in facts_by_label(found)["Success"]
+    assert "of true north" in verdict(study, ok_floor=[True] * 15 + [None])["Success"]
 
 
 def test_numbers_of_the_best_are_its_own_and_equals_are_not_told_apart() -> None:
     """As anybody computes them from the rows: half of the draws would choose another option."""
     random = np.random.default_rng(5)
-    study = small_study(
-        study={"draws": 32}, axes={"p0_yaw_deg": [5.0, 10.0, 20.0, 40.0]}, sensors={}
-    )
+    axes = {"p0_yaw_deg": [5.0, 10.0, 20.0, 40.0]}
+    study = small_study(study={"draws": 32}, axes=axes, sensors={})
     settle_s = random.normal(3.0, 0.3, (32, 1)) + random.normal(0.0, 0.2, (32, 4))
     settle_s[:, 1] -= 0.02
     settle_s[:, 3] += 2.0
     settle_s[::8, 2] = np.nan
-    found = facts_by_label(verdict_from_times(study, settle_s))
+    facts = verdict(study, **settling(settle_s))
     best = int(settle_s[:, [0, 1]].mean(axis=0).argmin())
     own = analysis.format_estimate(analysis.mean(settle_s[:, best]), "s", 0)
-    assert found["Best"] == (
+    assert facts["Best"] == (
         f"heading sigma in P0 {(5, 10)[best]} deg: every run settles, after {own} on average"
     )
-    assert found["Not told apart"] == f"heading sigma in P0 {(10, 5)[best]} deg (on 32 draws)"
+    assert facts["Not told apart"] == f"heading sigma in P0 {(10, 5)[best]} deg (on 32 draws)"
 
 
 def test_band_out_of_reach_is_the_first_line() -> None:
     noisy = {"gyro_arw_deg_per_sqrt_h": 1.0, "gyro_noise_deg_per_h": None}
     study = small_study(study={"draws": 8}, sensors=noisy)
-    source = Results(
-        study, None, tables={"summary": synthetic_summary(study)}, directory=Path("out")
-    )
-    first, *_ = sweep_verdict(source, warnings_shown=True).facts
+    tables = {"summary": synthetic_summary(study)}
+    source = Results(study, None, tables=tables, directory=Path("out"))
+    first, *_ = build_verdict(source, warnings_shown=True).facts
     assert first.is_caution and "cannot be reached" in first.text
 
 
@@ -176,8 +160,16 @@ def test_choice_that_other_draws_contradict_is_a_caution(shift_s: float, warns: 
     settle_s = 1.0 + np.random.default_rng(2).uniform(0.0, 0.1, (32, 2))
     settle_s[::2, 0] += shift_s
     settle_s[1::2, 1] += shift_s
-    found = facts_by_label(verdict_from_times(study, settle_s))
-    assert ("on draws that did not choose" in found.get("Caution", "")) == warns
+    facts = verdict(study, **settling(settle_s))
+    assert ("on draws that did not choose" in facts.get("Caution", "")) == warns
+
+
+def test_headings_too_far_east_are_not_within_the_band_at_the_end() -> None:
+    """The synthetic headings are west of north by their bias floor."""
+    study = small_study(study={"judged_from": "floor"}, axes={"phi_u0_deg": [0.0, 30.0]})
+    facts = verdict(study)
+    assert facts["Settling"].startswith("every run settles")
+    assert facts["Success"].endswith(", 0 [0, 71] % of north")
 
 
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Path) -> None:

@@ -158,6 +158,8 @@ ACTIVE = [
     "resets.reset_count = 1 & axes.reset_cycle_s = [1.0, 2.0]",
     RESET % ", reset_kind = 'scale'" + "reset_scale = [2.0, 3.0]",
     RESET % "" + "reset_restarts_feedback = [false, true]",
+    "resets = {reset_trigger = 'linearisation', trigger_threshold = 0.0, reset_at_feedback = true,"
+    " trigger_refractory_s = 2.37} & axes.reset_restarts_feedback = [false, true]",
     "passes.stored_s = 3.0 & alignment.method = 'compass' & axes.turn_smoothing_s = [1.0, 2.0]",
     "axes.yaw_period_s = [3.0, 4.0]",
     "axes.misalignment = ['vector', 'euler']",

@@ -89,13 +89,11 @@ def test_recorded_tuning_uses_start_times_as_draws():
     study = study_from_dict(base)
     assert study.tune.tune_draws is None and study_from_dict(study.to_dict()) == study
     for changes, place in (
-        ({"tune": tune | {"tune_draws": 3}}, "[tune] tune_draws"),
-        ({"tune": tune | {"evaluation_draws": 3}}, "[tune] evaluation_draws"),
-        ({"record": {"format": "psins", "start_s": 0.0}}, "[record] start_s"),
+        ({"tune": tune | {"tune_draws": 3}}, r"\[tune\] tune_draws"),
+        ({"record": {"format": "psins", "start_s": 0.0}}, r"\[record\] start_s"),
     ):
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match=rf"study: {place}: .*start"):
             study_from_dict(base | changes)
-        assert_named(str(caught.value), f"study: {place}", "start")
 
 
 EVERYTHING: dict[str, Any] = {

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.record_files import from_body_axes
 from support.studies import STILL, small_study
 from support.turning_logs import DEG, DEG_PER_H, TURNS, turned_record
 
 import sinsjax as package
 from sinsjax import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.records.layout import NAMED_AXES, from_body_axes
 from sinsjax.study.from_record import make_study_text
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.turns import useless_methods
@@ -81,19 +81,6 @@ def test_turned_base_has_no_floor():
     with pytest.raises(InputError, match="no bias floor") as caught:
         package.run(small_study(study={"judged_from": "floor"}, motion=STILL | FAST))
     assert len(caught.value.lines) == 1
-
-
-@pytest.mark.nightly
-def test_turns_can_be_swept_and_a_drawn_heading_turns_alike():
-    axes = {"turn_times_s": [[], [1.0], [0.0, 4.0]]}
-    study = small_study(motion=STILL | {"turn_angles_deg": 30.0}, axes=axes)
-    assert package.run(study).summary["has_floor"].to_pylist()[:3] == [True, False, False]
-    turns = FAST | {"turn_axis": "body", "lever_arm_m": [0.2, 0.1, 0.0]}
-    law = {"yaw_center_deg": {"values": [10.0]}}
-    drawn = small_study(motion=turns | {"yaw_center_deg": None}, drawn=law)
-    one, other = map(package.simulated_record, (small_study(motion=turns), drawn))
-    np.testing.assert_allclose(one.dtheta, other.dtheta, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(one.dv, other.dv, rtol=0, atol=1e-13)
 
 
 # Files of attitude
@@ -179,32 +166,26 @@ def test_bad_file_is_one_line(times, angles, text, tmp_path):
 # Logs of a base that is turned become studies that use the turns
 
 
-def study_of_log(motion: Any, signs: Any = 1.0, **record: Any) -> str:
-    """Return the study of a log in axes front, left, up; some of its gyros have a wrong sign."""
-    some = turned_record(motion, **record)
-    rates, forces = (from_body_axes(v, NAMED_AXES["flu"]) for v in (some.gyro, some.accel))
+def study_of_log(motion: Any) -> str:
+    """Return the study of a log in axes front, left, up."""
+    some = turned_record(motion)
+    rates, forces = (from_body_axes(v, "flu") for v in (some.gyro, some.accel))
     time_s = np.arange(1, len(rates) + 1) / some.rate_hz
     names = "time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],accel_x,accel_y,accel_z"
-    table = np.column_stack([time_s, rates * signs / DEG, forces])
+    table = np.column_stack([time_s, rates / DEG, forces])
     np.savetxt("log.csv", table, "%.15g", ",", header=names, comments="")
     return make_study_text(Path("log.csv"), Path("its.toml"))
 
 
 @pytest.mark.parametrize("motion", TURNS)
-def test_turning_log_has_no_question_but_its_latitude(motion, sinsjax):
+def test_turning_log_is_asked_its_latitude_and_largest_bias(motion, sinsjax):
     text = study_of_log(motion)
-    assert re.findall(r"^# (DOUBT|QUESTION): ", text, re.MULTILINE) == ["QUESTION"]
+    asked = re.findall(r"^# (DOUBT|QUESTION): .*\n(\w*)", text, re.MULTILINE)
+    assert [kind for kind, _ in asked] == ["QUESTION", "DOUBT", "QUESTION"]
+    assert asked[2][1] == "fit_gyro_bias_deg_per_h"
     study = tomllib.loads(text)
     assert study["earth"]["latitude_deg"] == "?"
     assert study["alignment"] == {"method": "gravity_fit"}
     noise = study["gravity_fit"]
     assert noise["fit_gyro_arw_deg_per_sqrt_h"] == pytest.approx(0.02, rel=0.05)
     assert noise["fit_accel_vrw_ug_per_sqrt_hz"] == pytest.approx(50.0, rel=0.05)
-
-
-def test_gyros_that_contradict_the_turns_are_refused(sinsjax):
-    Path("its.toml").write_text(study_of_log("four positions"))
-    study_of_log("four positions", signs=np.array([1.0, 1.0, -1.0]))
-    latitude = ("--set", "earth.latitude_deg=48")
-    code, _, error = sinsjax("align", "log.csv", "its.toml", "-o", "out", *latitude)
-    assert code == 2 and "sign" in error and "method = 'level'" in error

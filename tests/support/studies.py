@@ -9,11 +9,12 @@ import pytest
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
-from sinsjax.records import Record, Reference, write_psins
+from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
+from support.record_files import write_psins
 
 BASE: dict[str, dict[str, Any]] = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},

@@ -242,7 +242,11 @@ class ResetsSection(Section):
             lambda count, first_s: (count or 0) > (first_s is not None),
         ),
         KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
-        _with_resets("reset_at_feedback", (False,), "reset_restarts_feedback"),
+        KeyCondition(
+            ("reset_restarts_feedback",),
+            ("reset_at_feedback", *_RESETS),
+            lambda waits, *resets: _is_reset(*resets) and (not waits or has_trigger(resets[2])),
+        ),
         _with_resets("reset_kind", ("scale",), "reset_scale"),
         _with_resets("reset_kind", ("full", "yaw"), "reset_yaw_deg"),
         _with_resets("reset_kind", ("full",), "reset_velocity_m_per_s", "reset_level_deg"),
