@@ -120,10 +120,9 @@ def add_true_reference(record: Record) -> StoredRecord:
 
 def write_swing_record(folder: Path) -> None:
     """Write a simulated record of `BASE`, swing.imu, and its true attitude, true.csv."""
-    stored = add_true_reference(simulated_record(small_study()))
-    write_psins(stored.record, folder / "swing.imu")
-    rows = np.column_stack([np.arange(0, 6.01, 0.01), swing_deg(np.arange(0, 6.01, 0.01))])
-    header = "time_s,pitch_deg,roll_deg,yaw_deg"
+    write_psins(simulated_record(small_study()), folder / "swing.imu")
+    time_s = np.arange(0, 6.01, 0.01)
+    rows, header = np.column_stack([time_s, swing_deg(time_s)]), "time_s,pitch_deg,roll_deg,yaw_deg"
     np.savetxt(folder / "true.csv", rows, delimiter=",", header=header, comments="")
 
 
@@ -167,6 +166,5 @@ def refusal_line(**tables: Any) -> str:
     """Return the single error line of a small study with these changes."""
     with pytest.raises(InputError) as caught:
         small_study(**tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
+    (line,) = caught.value.lines
     return line.removeprefix("study: ")

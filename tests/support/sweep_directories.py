@@ -12,25 +12,17 @@ from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.study.study import Study
 from support.studies import small_study
 
+SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
 CHUNK_RUNS = 128
 CHUNKS = 12
 
 
 def sweep_study(**changes: Any) -> Study:
     """Return a study of 2 environments with 16 variants: 12 chunks of `CHUNK_RUNS` runs."""
-    sections: dict[str, Any] = {
-        "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
-        "axes": {
-            "yaw_amplitude_deg": [2.8, 0.0],
-            "p0_yaw_deg": [10.0 * i for i in range(1, 17)],
-        },
-    }
-    for name, change in changes.items():
-        sections[name] = sections.get(name, {}) | change
-    return small_study(**sections)
+    axes = {"yaw_amplitude_deg": [2.8, 0.0], "p0_yaw_deg": [10.0 * i for i in range(1, 17)]}
+    study = SHORT | {"draws": 48} | changes.pop("study", {})
+    return small_study(study=study, axes=axes | changes.pop("axes", {}), **changes)
 
-
-SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
 
 STUDIES: dict[str, dict[str, Any]] = {
     "worlds": {
