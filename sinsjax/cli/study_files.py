@@ -196,7 +196,7 @@ def keys(
 
 
 def schedule(config: Config, changes: Changes = None) -> None:
-    """Compute by the law when to reset a study's filter.
+    """Compute by the law when to reset a study's filter, and predict its settling time.
 
     Example: sinsjax schedule paper1_resets
     """

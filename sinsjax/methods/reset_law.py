@@ -36,7 +36,7 @@ _LEVELLING = 300.0
 
 _EARLY_RESETS = 3
 """Early resets with the measured force; a single one with the force of gravity. Two are enough once
-P0 of velocity is open, 1 m/s."""
+P0 of velocity is open, 1 m/s, see `reset_prediction`."""
 
 _LAG_SHARE, _LAG_TAUS = 0.45, 1.2
 """Lag before a slow feedback, as a share of its interval and in tau, the smaller one."""

@@ -1,5 +1,6 @@
-"""Resets by their law: its information and its schedules."""
+"""Resets by their law: its information, its schedules, and predicted settling times."""
 
+import itertools
 import math
 from typing import Any
 
@@ -12,7 +13,8 @@ from support.studies import refusal_line, small_study
 from sinsjax import run
 from sinsjax.methods import reset_law
 from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.units import DEG, DEG_PER_H
+from sinsjax.methods.reset_prediction import predict_settling_time
+from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -113,6 +115,45 @@ def test_schedule_of_cells_is_at_their_optimum(name: str) -> None:
     assert found.times_s == pytest.approx(times_s, rel=0.03)
 
 
+# Predicted settling times
+
+QUICK = GRAVITY._replace(feedback_s=0.1)
+SCHEDULES = [(2.0, 4.0, 80.0), (2.0, 4.0, 60.0, 120.0)]
+HEADINGS, VELOCITIES = [10, 90, 150], [0.1, 1.0]
+MEASURED = {
+    "gravity": [125, 121, 198, 179, 293, 242, 141, 118, 196, 185, 251, 226],
+    "measured": [125, 121, 179, 188, 184, 231, 141, 118, 194, 185, 254, 207],
+}
+"""Settling times (s) of noise-free alignments over resets, headings (deg) and P0 (m/s)."""
+
+
+@pytest.mark.parametrize(("force", "apart"), [("gravity", 0.08), ("measured", 0.16)])
+def test_prediction_is_what_measured_alignments_did(force: str, apart: float) -> None:
+    problem = QUICK._replace(
+        velocity_noise=(500e-6 * G) ** 2 / 0.02, is_force_measured=force == "measured"
+    )
+    told = [
+        predict_settling_time(
+            problem._replace(velocity=velocity), times, 500.0, heading * DEG, 5 * (1 + 1j) * DEG
+        )
+        for times, heading, velocity in itertools.product(SCHEDULES, HEADINGS, VELOCITIES)
+    ]
+    ratio = told / np.array(MEASURED[force])
+    assert abs(np.median(ratio) - 1) < 0.04
+    np.testing.assert_allclose(ratio, 1, atol=apart)
+
+
+def test_law_is_exact_where_q_limits_and_velocity_is_open() -> None:
+    """Turned with the heading, the tilt makes 2 tan(phi/2) contract by 1 + s0^2 J."""
+    problem = QUICK._replace(measurement_noise=1e-4, velocity=10.0)
+    times = np.linspace(1.0, 600.0, 60_000)
+    for heading in (10.0, 90.0, 150.0):
+        ratio = 2 * np.tan(heading * DEG / 2) / (10 * ARCMIN)
+        law = np.interp(ratio, reset_law.contraction(times, problem), times)
+        told = predict_settling_time(problem, (), 600.0, heading * DEG)
+        assert told == pytest.approx(law, rel=0.01)
+
+
 PER_STEP = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
 PER_STEP |= {"r_reading": "psd"}
 
@@ -168,7 +209,7 @@ def test_schedule_that_cannot_be_made_is_refused_in_one_line(refusal: Refusal) -
 def test_schedule_command_shows_times(sinsjax: Command) -> None:
     code, out, error = sinsjax("schedule", "paper1_resets")
     assert (code, error) == (0, "")
-    assert "2, 4, 6, 118 s" in out and "within 10' from 150 deg: 328 s" in out
+    assert "2, 4, 6, 118 s" in out and "10' from 150 deg: 301 s (median run, predicted)" in out
     places = ["axes.latitude_deg=[32, 60]", 'axes.specific_force=["measured", "gravity"]']
     code, out, _ = sinsjax("schedule", "reset_sweep", "--set", places[0], "--set", places[1])
     *_, gravity = out.partition('latitude_deg 32, specific_force "gravity"')

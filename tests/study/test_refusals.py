@@ -206,7 +206,7 @@ def test_invalid_recorded_studies_are_refused(refusal):
 record.gyro_unit = "rad"                     -> [record] gyro_unit: 'rad' rad_per_s deg_per_s
 record.gyro_columns = ["a", "b"]             -> [record] gyro_columns[2]: required
 record.accel_columns = ["ax", "ay", "gx"]    -> [record] accel_columns: 'gx'
-record.time_column = "gx"                    -> [record] gyro_columns: 'gx' time_column
+record.time_column = "gx"                    -> [record] gyro_columns: 'gx'
 """)
 def test_invalid_tabular_record_keys_are_refused(refusal):
     refusal.check(refusal_line(merge_tables(RECORDED, record=TABULAR), **refusal.tables))
