@@ -1,4 +1,4 @@
-"""A long hunt for studies, manifests and records that end in anything but a result or one line.
+"""A long hunt for studies and records that end in anything but a result or one line.
 
 It makes what `tests/acceptance/test_fuzzing.py` makes, with other numbers each time, for as long as
 is asked, and looks at the time and the memory of every case too. Exit status 1 where anything was
@@ -7,10 +7,13 @@ found.
 
 import argparse
 import faulthandler
+import re
 import sys
 import tempfile
 import time
+import traceback
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,12 +27,39 @@ import sinsjax
 
 sys.path.insert(0, str(common.ROOT / "tests"))
 
-from fuzzing.targets import Target, error_signature, make_targets, measure_case  # noqa: E402
+from fuzzing.targets import Target, limit_time, make_targets  # noqa: E402
+from support.memory import process_bytes  # noqa: E402
 
 ROUND = 250
 """Cases of a target, before the next one has its turn."""
 
+MAX_S, MAX_BYTES = 2.0, 500e6
+"""Longest time, s, and largest memory of a case."""
+
 _SHOWN = 3000
+
+
+def error_signature(error: BaseException) -> str:
+    """Return the signature of an error: its kind and where it was raised."""
+    cause = error.__cause__ or error
+    package = Path(sinsjax.__file__).parent
+    frames = traceback.extract_tb(cause.__traceback__)
+    frames = [frame for frame in frames if Path(frame.filename).is_relative_to(package)]
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "no line of ours"
+    message = re.sub(r"[\d.]+", "N", str(error))[:40] if isinstance(error, AssertionError) else ""
+    return f"{type(error).__name__} {message} at {place}"
+
+
+def measure_case(check: Callable[[Any], None], case: Any) -> None:
+    """Check a case; raise an error if it takes too long, or too much memory."""
+    with suppress(OSError):  # resets the peak
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    before, since = process_bytes("VmRSS"), time.process_time()
+    with limit_time(10 * MAX_S):
+        check(case)
+    taken, grown = time.process_time() - since, process_bytes("VmHWM") - before
+    if taken > MAX_S or grown > MAX_BYTES:
+        raise AssertionError(f"takes {taken:.1f} s of a core and {grown / 1e6:.0f} MB")
 
 
 def hunt_one_round(target: Target, seed: int, until: float, known: set[str]) -> int:

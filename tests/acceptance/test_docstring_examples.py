@@ -38,10 +38,6 @@ SLOW = {
 """Examples that take seconds for what tests of the same functions do too."""
 
 
-def test_methods_have_examples_too() -> None:
-    assert {"Study.replace", "Study.to_dict", "Study.values", "Results.read"} <= {*EXAMPLES}
-
-
 @pytest.mark.parametrize(
     "name",
     [

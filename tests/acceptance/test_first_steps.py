@@ -38,12 +38,10 @@ def test_init_copies_study_file_with_comments(sinsjax: Command) -> None:
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
     schema, _, text = Path("reset_sweep.toml").read_text().partition("\n")
     assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
-    original = (ROOT / "configs" / "reset_sweep.toml").read_text()
-    original = original.replace("configs/reset_sweep.toml", "reset_sweep.toml")
-    original = original.replace("configs/paper1_conditions.toml", "paper1_conditions")
-    assert original == f"#:schema ./schema.json\n{text}"
-    code, _, error = sinsjax("init", "reset_swep")
-    assert code == 2 and "did you mean reset_sweep?" in error
+    original = (ROOT / "configs" / "reset_sweep.toml").read_text().splitlines()[1:]
+    changed = set(text.splitlines()) - set(original)
+    assert len(text.splitlines()) == len(original) and all(line[0] == "#" for line in changed)
+    assert changed and "configs/" not in text
     code, told, _ = sinsjax("init", "--list")
     assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
     known = {*files.shipped_studies(), *files.TEMPLATES}
@@ -108,21 +106,33 @@ def test_validate_reports_all_errors_of_a_stage(sinsjax: Command) -> None:
         assert sorted(line.partition(":")[0] for line in lines) == sorted(places)
 
 
+NESTED = "[" * 20_000 + "]" * 20_000
+
+
 @pytest.mark.parametrize(
-    ("words", "line"),
+    ("words", "named"),
     [
-        (["sweep", "reset_sweep", "--bogus"], "no such option: --bogus"),
-        (["sweep", "reset_sweep"], "missing option '--out' / '-o' (see `sinsjax sweep -h`)"),
-        (["swep"], "no such command 'swep'"),
-        (["sweep", "reset_sweep", "-o", "x", "--devices", "two"], "invalid value for '--devices'"),
+        ("sweep reset_sweep --bogus", "--bogus"),
+        ("sweep reset_sweep", "'--out' / '-o'"),
+        ("swep", "'swep'"),
+        ("sweep reset_sweep -o x --devices two", "'--devices'"),
+        ("validate reset_sweep --set phi_u0_deg", "must be SECTION.KEY=VALUE"),
+        ("validate reset_sweep --set alignment.phi_u0_deg=[", "not a TOML value"),
+        ("validate reset_sweep --set alignment.phi_u0_deg=0,1", "a list as [1, 5]"),
+        ("validate reset_sweep --set alignment.phi=1", "[alignment] phi: unknown key"),
+        ("validate reset_sweep --set study.seed.x=1", "is below a value"),
+        ("validate reset_sweep --set coarse={}", "coarse: cannot be dropped"),
+        (f"validate reset_sweep --set study.window_s={NESTED}", ": is nested too deeply"),
+        ("init reset_swep", "did you mean reset_sweep?"),
+        ("keys reset_cont", "did you mean reset_count?"),
+        ("keys axes", "[axes]: has the"),
     ],
+    ids=lambda text: text[:50],
 )
-def test_wrong_command_line_gives_one_line_error(
-    sinsjax: Command, words: list[str], line: str
-) -> None:
-    code, told, error = sinsjax(*words)
+def test_wrong_command_line_gives_one_line_error(sinsjax: Command, words: str, named: str) -> None:
+    code, told, error = sinsjax(*words.split())
     assert (code, told, error.count("\n")) == (2, "", 1)
-    assert error.startswith(f"error: {line}")
+    assert error.startswith("error: ") and named in error
 
 
 def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
@@ -144,48 +154,20 @@ def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) ->
     assert "Band  " in sinsjax("report", "sweep")[1]
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("phi_u0_deg", "must be SECTION.KEY=VALUE"),
-        ("alignment.phi_u0_deg=[", "not a TOML value"),
-        ("alignment.phi_u0_deg=0,1", "a list as [1, 5]"),
-        ("alignment.phi=1", "[alignment] phi: unknown key"),
-        ("study.seed.x=1", "is below a value"),
-        ("coarse={}", "coarse: cannot be dropped"),
-        (f"study.window_s={'[' * 20_000}{']' * 20_000}", ": is nested too deeply"),
-    ],
-)
-def test_invalid_set_option_gives_one_line_error(sinsjax: Command, text: str, reason: str) -> None:
-    code, _, error = sinsjax("validate", "reset_sweep", "--set", text)
-    assert (code, error.count("\n")) == (2, 1) and error.startswith("error: ") and reason in error
-
-
-def test_replace_changes_only_given_study_keys() -> None:
+def test_replace_changes_given_keys_and_what_follows_from_them() -> None:
     study = package.load_study("reset_sweep")
     assert study.replace({}) == study
     longer = study.replace({"study.duration_s": 1200.0, "alignment.phi_u0_deg": 12.0})
     assert longer.duration_s == 1200.0 and longer.n_variants == 56
-    dense = study.replace({"sensors.gyro_arw_deg_per_sqrt_h": 0.1})
-    assert dense.sensors.gyro_noise_deg_per_h is None
-    with pytest.raises(package.InputError, match=r"\[study\] draws: must be greater"):
-        study.replace({"study.draws": 0})
     drawn = study.replace({"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
-    assert not drawn.replace({"drawn": {}}).drawn_keys
-
-
-def test_replace_recomputes_defaults_and_drops_axes_and_cases() -> None:
     template = package.load_study(files.template_files()["sweep"])
     assert template.study.window_s == (200.0, 300.0)
     assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
     assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
-    assert template.replace({"axes": {}}).n_variants == 1
     cases = [{"case": "none", "reset_times_s": []}, {"case": "one", "reset_times_s": [50.0]}]
-    study = package.load_study("paper1_resets", {"cases": cases})
-    assert study.values("case") == ["none", "one"]
-    again = study.replace({"cases": cases[:1], "study.draws": 3})
-    assert again.values("case") == ["none"] and again.n_draws == 3
+    again = package.load_study("paper1_resets", {"cases": cases}).replace({"cases": cases[:1]})
+    assert again.values("case") == ["none"]
 
 
 def test_keys_command_explains_key_and_section(
@@ -197,13 +179,3 @@ def test_keys_command_explains_key_and_section(
     assert code == 0 and told.count("\n") == 2
     assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6
-    for name, text in (("reset_cont", "did you mean reset_count?"), ("axes", "[axes]: has the")):
-        code, _, error = sinsjax("keys", name)
-        assert code == 2 and text in error
-
-
-def test_copy_of_a_shipped_study_names_what_the_user_has(sinsjax: Command) -> None:
-    assert sinsjax("init", "paper1_resets", "-o", "mine.toml")[0] == 0
-    text = Path("mine.toml").read_text()
-    assert "sinsjax run mine.toml" in text and "see paper1_readings and" in text
-    assert "configs/" not in text.partition("\n")[2]

@@ -1,66 +1,34 @@
 """Runs of a day: memory of their results, and equality of truth in blocks and at once."""
 
-from collections.abc import Iterator
-from typing import Any
-
-import jax
 import numpy as np
 import pytest
 from support.batches import batch_of
 from support.studies import small_study
 
 from sinsjax.engine import samples, scenario
-from sinsjax.engine.run import map_tiles, run_tile
+from sinsjax.engine.batch import trace_program
 from sinsjax.execution import run
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 DAY_S = 86_400.0
-MOST_BYTES = 60e6
-"""Bytes of one array in the program of a day's run; curves: 6 MB, of 8 sets of lanes 50 MB."""
 
 
-@pytest.fixture
-def without_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenario, "MOST_STORED_SAMPLES", 0)
-    monkeypatch.setattr(samples, "SAMPLES_PER_CALL", 30)
+@pytest.mark.parametrize(("specific_force", "most_bytes"), [("measured", 50e6), ("gravity", 3e8)])
+def test_day_long_run_allocates_no_large_array(specific_force: str, most_bytes: float) -> None:
+    """Curves of 12 MB, and their copy; with gravity, 8 tiles share a covariance.
 
-
-def arrays(jaxpr: Any) -> Iterator[tuple[int, str]]:
-    """Yield bytes and shape of every array of a program."""
-    for equation in jaxpr.eqns:
-        for variable in (*equation.invars, *equation.outvars):
-            if isinstance(aval := getattr(variable, "aval", None), jax.core.ShapedArray):
-                yield aval.size * aval.dtype.itemsize, f"{equation.primitive} {aval.shape}"
-        for inner in jax.tree.leaves(
-            list(equation.params.values()), is_leaf=lambda a: hasattr(a, "eqns")
-        ):
-            inner = getattr(inner, "jaxpr", inner)
-            if hasattr(inner, "eqns"):
-                yield from arrays(inner)
-
-
-@pytest.mark.parametrize("specific_force", ["measured", "gravity"])
-def test_day_long_run_allocates_no_large_array(specific_force: str) -> None:
-    """No record and no idle lanes; with gravity, tiles share a covariance."""
+    A record would have 415 MB, and idle lanes eight times the curves.
+    """
     study = small_study(
         study={"duration_s": DAY_S, "draws": 1},
         alignment={"specific_force": specific_force},
     )
     part = batch_of(study, curves=True)
-    spec, layout = part.spec, part.lay_out()
-    shown, tiles = layout.curve_lanes, layout.tiles_of(part, 0)
-    assert shown == 1 and spec.intervals == DAY_S
-
-    def program(environment: Any, tiles: Any) -> Any:
-        def one(tiles: Any) -> Any:
-            return run_tile(spec, environment, tiles, shown)
-
-        return map_tiles(spec, one, tiles, layout.blocks(0))
-
-    traced = jax.make_jaxpr(program)(part.environment, tiles)
-    size, what = max(arrays(traced.jaxpr))
-    assert 6e6 < size < MOST_BYTES, what
+    layout = part.lay_out()
+    assert layout.curve_lanes == 1 and part.spec.intervals == DAY_S
+    memory = trace_program(part, layout).compiled().memory_analysis()
+    assert 6e6 < memory.temp_size_in_bytes + memory.output_size_in_bytes < most_bytes
 
 
 PASSES = small_study(
@@ -70,10 +38,13 @@ PASSES = small_study(
 )
 
 
-def test_curves_without_stored_increments_match_stored_ones(request: pytest.FixtureRequest) -> None:
+def test_curves_without_stored_increments_match_stored_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Equal to rounding, forward and backward: the formulas are the same, the loop differs."""
     whole = run.run(PASSES).curves
-    request.getfixturevalue("without_records")
+    monkeypatch.setattr(scenario, "MOST_STORED_SAMPLES", 0)
+    monkeypatch.setattr(samples, "SAMPLES_PER_CALL", 30)
     part = batch_of(PASSES)
     assert part.environment.increments is None
     pieces = run.run(PASSES).curves

@@ -5,9 +5,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from support.commands import command_line
+from support.commands import Command
 
-import sinsjax
+from sinsjax import __version__
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -32,11 +32,8 @@ def test_readme_python_example_prints_what_is_shown(capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.nightly
-def test_first_command_prints_what_is_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = command_line(monkeypatch, capsys)
-    code, told, _ = command("sweep", "reset_sweep", "-o", tmp_path / "out")
+def test_first_command_prints_what_is_shown(sinsjax: Command) -> None:
+    code, told, _ = sinsjax("sweep", "reset_sweep", "-o", "out")
     shown = re.findall(r"```text\n(.*?)```", README, re.DOTALL)[1]
     assert code == 0
     for label in ("Best", "Others", "Accuracy"):
@@ -51,7 +48,7 @@ def test_release_has_one_version_and_date_everywhere() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     version, date = re.findall(r"^(?:version|date-released): (.+)$", citation, re.M)
-    assert version == project["version"] == sinsjax.__version__
+    assert version == project["version"] == __version__
     released = [
         title for title in re.findall("^## (.+)$", changes, re.M) if title != "[Unreleased]"
     ]

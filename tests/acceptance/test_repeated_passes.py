@@ -197,13 +197,20 @@ def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
     np.testing.assert_allclose(pitch_deg, 4 * np.sin(2 * np.pi * t / 7), rtol=0, atol=1e-4)
 
 
-def test_pass_longer_than_record_is_refused() -> None:
-    """The record, not the duration: passes of 6 s may last 12 s on a record that holds 16."""
-    study = study_from_dict(recorded(stored_s=11.0))
-    with pytest.raises(InputError) as caught:
-        (batches_of(study, StoredRecord(record(), None)))
-    line = "has 20 s, but from start_s = 4 the study needs 17 s, up to 21 s"
-    assert str(caught.value) == f"{record().source}: {line}"
+@pytest.mark.parametrize(
+    ("passes", "reference_s", "text"),
+    [
+        ({"stored_s": 11.0}, None, "has 20 s, but from start_s = 4 the study needs 17 s, up to 21"),
+        ({"stored_s": 6.0, "passes": 2}, 13.0, "covers 0 to 13 s, but the study needs 10 to 16 s"),
+    ],
+)
+def test_record_and_reference_must_cover_a_stored_pass(
+    passes: dict[str, Any], reference_s: float | None, text: str
+) -> None:
+    """With two passes a run ends at the beginning of its record, which the reference covers."""
+    true = None if reference_s is None else reference(reference_s)
+    with pytest.raises(InputError, match=text):
+        batches_of(study_from_dict(recorded(**passes)), StoredRecord(record(), true))
 
 
 def test_only_needed_part_of_record_is_loaded() -> None:
@@ -214,10 +221,3 @@ def test_only_needed_part_of_record_is_loaded() -> None:
     np.testing.assert_array_equal(part.environment.increments[:, :3], record().dtheta[200:800])
     np.testing.assert_array_equal(part.environment.increments[:, 3:], record().dv[200:800])
     np.testing.assert_array_equal(part.draws.start, [300])
-
-
-def test_reference_must_cover_whole_stored_record() -> None:
-    """With two passes a run ends at the beginning of its record, which the reference covers."""
-    study = study_from_dict(recorded(stored_s=6.0, passes=2))
-    with pytest.raises(InputError, match=r"covers 0 to 13 s, but the study needs 1. to 16 s"):
-        (batches_of(study, StoredRecord(record(), reference(13.0))))

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from support.batches import all_runs, assert_same, batch_of, last_draws, records_of
+from support.batches import all_runs, assert_same, batch_of, records_of
 from support.studies import BASE, DRAWN_DISTURBANCES, PAPER, STILL, disturbed_tables, small_study
 
 import sinsjax
@@ -26,7 +26,7 @@ def test_disturbed_runs_do_not_depend_on_their_neighbours() -> None:
     tables = disturbed_tables(axes=axes, drawn=DRAWN_DISTURBANCES, filter={})
     runs, first = batch_of(small_study(study=length, alignment=method, **tables)), 31
     whole, _ = all_runs(runs, devices=2, tiles_per_chunk=2)
-    last, _ = all_runs(last_draws(runs, first), tiles_per_chunk=2)
+    last, _ = all_runs(runs.select_draws(np.arange(first, 70)), tiles_per_chunk=2)
     assert_same(jax.tree.map(lambda a: a[3 * first :], whole), last)
     assert np.unique(whole.last.phi.x).size == 70
 

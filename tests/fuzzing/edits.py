@@ -7,8 +7,6 @@ from hypothesis import strategies as st
 
 from fuzzing.values import TEXTS, misfit_values
 
-Path_ = tuple[Any, ...]
-
 
 class HiddenValue(NamedTuple):
     """Wrapper of a large value that hides it in printed output."""
@@ -20,42 +18,37 @@ class HiddenValue(NamedTuple):
         return "..."
 
 
-def entry_paths(value: Any, path: Path_ = (), max_paths: int = 400) -> list[Path_]:
-    """Return the paths of the entries of nested tables and lists."""
-    paths: list[Path_] = []
-    entries = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, entry in entries:
-        paths.append((*path, key))
-        if isinstance(entry, dict | list) and len(paths) < max_paths:
-            paths += entry_paths(entry, (*path, key), max_paths - len(paths))
-    return paths
+def places_of_entries(value: Any) -> list[tuple[Any, Any]]:
+    """Return container and key or index of every entry of nested tables and lists."""
+    places: list[tuple[Any, Any]] = []
+    for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
+        places.append((value, key))
+        places += places_of_entries(entry) if isinstance(entry, dict | list) else []
+    return places
 
 
 @st.composite
-def edit_tables(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> Any:
+def edit_tables(draw: st.DrawFn, original: HiddenValue) -> Any:
     """Draw nested tables with some entries replaced, removed, doubled, renamed or wrapped."""
     data = copy.deepcopy(original.value)
-    for _ in range(draw(st.integers(1, max_edits))):
-        paths = entry_paths(data)
-        if not paths:
+    for _ in range(draw(st.integers(1, 3))):
+        places = places_of_entries(data)
+        if not places:
             return data
-        *path, key = draw(st.sampled_from(paths))
-        container = data
-        for step in path:
-            container = container[step]
+        container, key = places[draw(st.integers(0, len(places) - 1))]
+        entry = container[key]
         kind = draw(st.sampled_from(["replace", "replace", "remove", "rename", "double", "wrap"]))
         if kind == "remove":
             del container[key]
         elif kind == "replace":
             container[key] = draw(misfit_values())
         elif kind == "wrap":
-            entry = container[key]
             container[key] = draw(st.sampled_from([[entry], {"a": entry}, str(entry)[:99]]))
-        elif kind == "double" and isinstance(container, list):
-            container.insert(key, copy.deepcopy(container[key]))
-        elif isinstance(container, dict):
+        elif isinstance(container, list):
+            container.insert(key, copy.deepcopy(entry))
+        else:
             name = draw(st.sampled_from([*TEXTS, f"{key}s", str(key)[:-1], str(key).upper()]))
-            container[name] = container[key] if kind == "double" else container.pop(key)
+            container[name] = copy.deepcopy(entry) if kind == "double" else container.pop(key)
     return data
 
 
@@ -69,24 +62,24 @@ PIECES = [
 
 
 @st.composite
-def mangle_bytes(draw: st.DrawFn, original: HiddenValue, max_edits: int = 3) -> bytes:
+def mangle_bytes(draw: st.DrawFn, original: HiddenValue) -> bytes:
     """Draw bytes with some removed, inserted, flipped or doubled."""
     content: bytes = original.value
-    for _ in range(draw(st.integers(1, max_edits))):
+    for _ in range(draw(st.integers(1, 3))):
         position = draw(st.integers(0, len(content)))
         length = draw(st.sampled_from([0, 1, 1, 2, 8, 64, 1000]))
-        kind = draw(st.sampled_from(["cut", "insert", "flip", "double", "truncate"]))
         head, tail = content[:position], content[position + length :]
         middle = content[position : position + length]
-        if kind == "cut":
-            content = head + tail
-        elif kind == "insert":
-            content = head + draw(st.sampled_from(PIECES)) + middle + tail
-        elif kind == "flip":
-            flipped = bytes(byte ^ (1 << draw(st.integers(0, 7))) for byte in middle[:1])
-            content = head + flipped + middle[1:] + tail
-        elif kind == "double":
-            content = head + middle + middle + tail
-        else:
-            content = head
+        flipped = bytes(byte ^ (1 << draw(st.integers(0, 7))) for byte in middle[:1])
+        content = draw(
+            st.sampled_from(
+                [
+                    head + tail,
+                    head,
+                    head + middle + middle + tail,
+                    head + flipped + middle[1:] + tail,
+                ]
+            )
+            | st.sampled_from(PIECES).map(lambda piece, h=head, t=middle + tail: h + piece + t)
+        )
     return content

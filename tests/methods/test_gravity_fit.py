@@ -110,7 +110,7 @@ def test_doubts_about_fits_are_cautions_of_every_verdict(truth: bool) -> None:
         changed = np.where(np.arange(16) < 2, 3.14, columns.get(name, none))
         made = columns | ({} if name == "none" else {name: changed})
         values = {column: value.tolist() for column, value in made.items()}
-        summary = synthetic_summary(given, all_columns=True, truth=truth, **values)
+        summary = synthetic_summary(given, truth=truth, **values)
         facts = build_verdict(Results(given, None, tables={"summary": summary})).facts
         doubts = [fact.text for fact in facts if fact.is_caution and "the fit" in fact.text]
         assert len(doubts) == (name != "none")

@@ -2,30 +2,18 @@
 
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
 import pytest
+from support.commands import run_python
 from support.studies import small_study
 
 import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.platform import machine, runtime, xla
 from sinsjax.study.study import Study
-
-
-def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a script in a fresh interpreter, free of this one's settings."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
-    kept["PYTHONPATH"] = str(Path(sinsjax.__file__).parents[1])
-    command = [sys.executable, "-W", "always", "-c", script]
-    return subprocess.run(
-        command, env=kept | environment, capture_output=True, text=True, check=True, timeout=300
-    )
 
 
 def test_configure_after_jax_start_warns_of_other_device_count(
@@ -52,6 +40,8 @@ import sinsjax
 assert state() == before
 heavy = {"jax", "jaxlib", "matplotlib", "numpy", "optax", "pyarrow", "pydantic", "scipy"}
 assert not heavy & set(sys.modules)
+import sinsjax.records, sinsjax.columns, sinsjax.value_types
+assert not {"jax", "jaxlib", "optax"} & set(sys.modules)
 """
     )
     assert done.stderr == ""

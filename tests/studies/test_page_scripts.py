@@ -36,7 +36,7 @@ def stored(folder, name, **columns):
     for key, draw in columns.items():
         given[key] = draw(rng, count)
     curves = synthetic_curves(study) if study.study.curves else None
-    summary = synthetic_summary(study, all_columns=True, **given)
+    summary = synthetic_summary(study, **given)
     return store_results(folder / name, study, summary, curves, wall_s=1.0), summary.to_pylist()
 
 

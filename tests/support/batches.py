@@ -66,11 +66,6 @@ def break_variant(runs: Batch, variant: int) -> Batch:
     return runs._replace(params=runs.params._replace(phi=phi._replace(z=up)))
 
 
-def last_draws(runs: Batch, first: int) -> Batch:
-    """Return a batch without the draws before the first one wanted."""
-    return runs.select_draws(np.arange(first, runs.n_draws))
-
-
 def lay_out(study: Study, tiles_per_chunk: int | None) -> list[tuple[list[Run], list[Run]]]:
     """Return, chunk by chunk, the runs of its lanes: as planned, and as its tiles have them.
 

@@ -1,7 +1,10 @@
-"""Command lines run in the test's own process."""
+"""Command lines run in the test's own process, and scripts in another."""
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +26,13 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         return int(stop.value.code or 0), output.out, output.err
 
     return call
+
+
+def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a script in a fresh interpreter, free of this one's settings."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
+    kept["PYTHONPATH"] = str(Path(cli.__file__).parents[2])
+    command = [sys.executable, "-W", "always", "-c", script]
+    return subprocess.run(
+        command, env=kept | environment, capture_output=True, text=True, check=True, timeout=300
+    )

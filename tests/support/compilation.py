@@ -1,21 +1,14 @@
 """Optimisation level of XLA for programs of tests.
 
-As shipped, but for tests marked ``optimised(False)``: those of what is read, written, told and
-chosen, and of numbers to a tolerance. They take programs that are compiled in a quarter of the
-time, and run up to nine times as long. Compiled as users have them are the programs whose bits
-tests of the engine, of samples and of repeated passes compare with those of other programs, the
-golden studies, and whatever takes long to run. Whole studies that are cut, killed or resumed need
-not show it again. Nor need single runs of a method over turns, rewinds and triggers, oracles and
-closed forms, which hold to a tolerance: a program for each case takes longer to compile than to run
-there.
+As shipped, but for tests marked ``optimised(False)``, whose programs are compiled in a quarter of
+the time and run up to nine times as long: tests of what is read, written and chosen, and of numbers
+to a tolerance. Compiled as users have them are programs whose bits are compared with those of
+others, the golden studies, and whatever takes long to run.
 """
 
-import atexit
 import ctypes
 import gc
 import os
-import shutil
-import tempfile
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
@@ -81,21 +74,19 @@ def drop_programs_above(limit_bytes: int) -> None:
 def share_cache(repository: Path) -> None:
     """Keep compiled programs for this run's other processes and for the next run.
 
-    In ``.pytest_cache`` unless ``SINSJAX_COMPILE_CACHE`` says otherwise, or in a temporary folder
-    where others may write to the repository: JAX would run what they put there.
+    In ``.pytest_cache`` unless ``SINSJAX_COMPILE_CACHE`` says otherwise; nowhere if others may
+    write there, as JAX would run what they put there.
     """
     # Most programs here are small: the next process reads one sooner than it compiles it.
     compile_cache._MIN_COMPILE_S = 0.05
     # To keep a limit, JAX reads the times of all entries whenever it writes one.
     os.environ.setdefault(compile_cache._SIZE, "-1")
-    if compile_cache.VARIABLE in os.environ:
-        return
-    try:
-        folder = machine.ensure_private_folder(repository / ".pytest_cache" / "compiled")
-    except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="sinsjax-tests-"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ[compile_cache.VARIABLE] = str(folder)
+    if compile_cache.VARIABLE not in os.environ:
+        try:
+            folder = machine.ensure_private_folder(repository / ".pytest_cache" / "compiled")
+        except OSError:
+            folder = None
+        os.environ[compile_cache.VARIABLE] = str(folder or 0)
 
 
 def install_spared_options() -> None:

@@ -8,6 +8,7 @@ be done before a busy machine comes to that.
 
 import fnmatch
 import io
+import itertools
 import os
 import signal
 import sys
@@ -20,42 +21,32 @@ from sinsjax.__main__ import command
 from sinsjax.platform import files
 
 
-class FileKiller:
-    """Counter of file operations that determines when to kill the process."""
+def arm_killer(moment: str, pattern: str, number: int, pause_s: float) -> None:
+    """Check every file that `files.atomic_write` writes; pause after each part."""
+    original_replace, left = Path.replace, itertools.count(number - 1, -1)
 
-    def __init__(self, moment: str, pattern: str, number: int) -> None:
-        self.moment, self.pattern, self.left = moment, pattern, number
+    def is_due(now: str, target: Path) -> bool:
+        is_counted = now == moment and fnmatch.fnmatch("/".join(target.parts[-2:]), pattern)
+        return is_counted and next(left) == 0
 
-    def count(self, moment: str, target: Path) -> bool:
-        """Whether the process is to be killed at this operation."""
-        if moment == self.moment and fnmatch.fnmatch("/".join(target.parts[-2:]), self.pattern):
-            self.left -= 1
-            return self.left == 0
-        return False
-
-    def kill_if_due(self, moment: str, target: Path) -> None:
-        if self.count(moment, target):
-            os.kill(os.getpid(), signal.SIGKILL)
-
-
-def arm_killer(killer: FileKiller, pause_s: float) -> None:
-    """Let the killer check every file of `files.atomic_write` writes; pause after each part."""
-    original_replace = Path.replace
+    def kill() -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
 
     class Half(io.BufferedWriter):
         def write(self, content: Any) -> int:
             name = Path(self.name)
-            target = name.parent / name.name.removeprefix(".").rsplit(".", 2)[0]
-            if killer.count("half", target):
+            if is_due("half", name.parent / name.name.removeprefix(".").rsplit(".", 2)[0]):
                 super().write(content[: len(content) // 2])
                 self.flush()
-                os.kill(os.getpid(), signal.SIGKILL)
+                kill()
             return super().write(content)
 
     def replace(self: Path, target: Path) -> Path:
-        killer.kill_if_due("before", target)
+        if is_due("before", target):
+            kill()
         path = original_replace(self, target)
-        killer.kill_if_due("after", target)
+        if is_due("after", target):
+            kill()
         if target.suffix == ".parquet":
             time.sleep(pause_s)
         return path
@@ -69,6 +60,6 @@ def arm_killer(killer: FileKiller, pause_s: float) -> None:
 if __name__ == "__main__":
     moment, pattern, number, pause_s, *words = sys.argv[1:]
     plots.render_png = lambda *_: b"not drawn"  # takes as long as all else
-    arm_killer(FileKiller(moment, pattern, int(number)), float(pause_s))
+    arm_killer(moment, pattern, int(number), float(pause_s))
     sys.argv = ["sinsjax", *words]
     command()

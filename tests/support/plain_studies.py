@@ -48,9 +48,8 @@ def refusal_lines(base: dict[str, Any] = SIMULATED, **tables: Any) -> list[str]:
     """Return the lines of the error without the file's name, which must begin each."""
     with pytest.raises(InputError) as caught:
         build_study(base, **tables)
-    lines = str(caught.value).splitlines()
-    assert all(line.startswith("s.toml: ") for line in lines)
-    return [line.removeprefix("s.toml: ") for line in lines]
+    assert all(line.startswith("s.toml: ") for line in caught.value.lines)
+    return [line.removeprefix("s.toml: ") for line in caught.value.lines]
 
 
 def refusal_line(base: dict[str, Any] = SIMULATED, **tables: Any) -> str:

@@ -1,10 +1,12 @@
 """Small studies for the tests: a swinging base with the papers' sensors."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.records import Record, Reference
@@ -12,6 +14,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
+from support.record_files import write_psins
 
 BASE: dict[str, dict[str, Any]] = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},
@@ -115,6 +118,14 @@ def add_true_reference(record: Record) -> StoredRecord:
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
+def write_swing_record(folder: Path) -> None:
+    """Write a simulated record of `BASE`, swing.imu, and its true attitude, true.csv."""
+    write_psins(simulated_record(small_study()), folder / "swing.imu")
+    time_s = np.arange(0, 6.01, 0.01)
+    rows, header = np.column_stack([time_s, swing_deg(time_s)]), "time_s,pitch_deg,roll_deg,yaw_deg"
+    np.savetxt(folder / "true.csv", rows, delimiter=",", header=header, comments="")
+
+
 DISTURBANCES: dict[str, dict[str, Any]] = {
     "motion": {
         "surge_m_per_s": [0.1, 0.2, 0.05],
@@ -155,6 +166,5 @@ def refusal_line(**tables: Any) -> str:
     """Return the single error line of a small study with these changes."""
     with pytest.raises(InputError) as caught:
         small_study(**tables)
-    line = str(caught.value)
-    assert len(line.splitlines()) == 1
+    (line,) = caught.value.lines
     return line.removeprefix("study: ")

@@ -9,29 +9,20 @@ from sinsjax.engine.batch import map_in_threads
 from sinsjax.execution.directory import DATASETS
 from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
-from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
-from support.studies import BASE, small_study
+from support.studies import small_study
 
+SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
 CHUNK_RUNS = 128
 CHUNKS = 12
 
 
 def sweep_study(**changes: Any) -> Study:
     """Return a study of 2 environments with 16 variants: 12 chunks of `CHUNK_RUNS` runs."""
-    sections: dict[str, Any] = {
-        "study": {"draws": 48, "duration_s": 2.0, "window_s": [0, 2], "curves": True},
-        "axes": {
-            "yaw_amplitude_deg": [2.8, 0.0],
-            "p0_yaw_deg": [10.0 * i for i in range(1, 17)],
-        },
-    }
-    for name, change in changes.items():
-        sections[name] = sections.get(name, {}) | change
-    return small_study(**sections)
+    axes = {"yaw_amplitude_deg": [2.8, 0.0], "p0_yaw_deg": [10.0 * i for i in range(1, 17)]}
+    study = SHORT | {"draws": 48} | changes.pop("study", {})
+    return small_study(study=study, axes=axes | changes.pop("axes", {}), **changes)
 
-
-SHORT: dict[str, Any] = {"duration_s": 2.0, "window_s": [0, 2], "curves": True}
 
 STUDIES: dict[str, dict[str, Any]] = {
     "worlds": {
@@ -54,7 +45,9 @@ STUDIES: dict[str, dict[str, Any]] = {
     },
     "drawn": {
         "study": SHORT | {"draws": 150},
-        "alignment": {"phi_e0_deg": 1.0},
+        "motion": {"yaw_center_deg": None},
+        "sensors": {"gyro_bias_deg_per_h": None},
+        "alignment": {"phi_e0_deg": 1.0, "phi_n0_deg": None, "phi_u0_deg": None},
         "drawn": {
             "sampling": "sobol",
             "phi_u0_deg": {"uniform": [-10, 10]},
@@ -70,14 +63,8 @@ STUDIES: dict[str, dict[str, Any]] = {
 
 def make_study(name: str, draws: int | None = None) -> Study:
     """Return one of `STUDIES`, optionally with another number of draws."""
-    data: dict[str, Any] = {section: dict(table) for section, table in BASE.items()}
-    for section, table in STUDIES[name].items():
-        data[section] = data.get(section, {}) | table
-    for section in ("motion", "sensors", "alignment"):
-        data[section] = {k: v for k, v in data[section].items() if k not in data.get("drawn", {})}
-    if draws is not None:
-        data["study"]["draws"] = draws
-    return study_from_dict(data)
+    study = small_study(**STUDIES[name])
+    return study if draws is None else study.replace({"study.draws": draws})
 
 
 def read_parts(directory: Path) -> dict[str, bytes]:

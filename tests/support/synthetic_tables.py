@@ -10,29 +10,16 @@ FLOOR = -25.9
 TIMES = np.arange(1.0, 7.0)
 
 
-def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
-    """Return a synthetic summary: the ``given_columns``, and plain numbers in the others.
+TRUE = ("phi_", "settle", "ok_", "has_", "floor", "status", "nis", "nees", "p_above")
+"""How the names of columns begin that need a reference."""
 
-    With ``all_columns`` it has all columns of such a study, else those that most reports read.
-    """
+
+def synthetic_summary(study, *, truth=True, **given_columns):
+    """Return a synthetic summary: the ``given_columns``, and plain numbers in the others."""
     v, d = study.n_variants, study.n_draws
     draw, variant = np.repeat(np.arange(d), v), np.tile(np.arange(v), d)
     noise = np.random.default_rng(5).normal(size=v * d)
-    swept = study.variant_values()
-    extra = [columns.axis_column(k, values, "") for k, values in swept.items()]
-    known = {c.name for c in columns.IDENTITY}
-    layout = [
-        *columns.IDENTITY,
-        *(c for c in extra if c.name not in known),
-        *columns.OBSERVED,
-        columns.settle_column(10.0),
-        columns.settle_column(10.0, truth=True),
-        *columns.JUDGED,
-    ]
-    names = {column.name for column in layout}
-    extra_columns = (
-        [c for c in tables.summary_columns(study) if c.name not in names] if all_columns else []
-    )
+    swept = {k: [x[i] for i in variant] for k, x in study.variant_values().items()}
     resets = study.values("reset_times_s") if study.has("resets") else [()] * v
     starts = study.record.start_s if study.record else [0.0] * d
     values = {
@@ -48,34 +35,21 @@ def synthetic_summary(study, *, truth=True, all_columns=False, **given_columns):
         "phi_u_mean_arcmin": FLOOR + noise,
         "settle_10_s": 50.0 + noise,
         "status": ["ok"] * (v * d),
-        **{k: [values[i] for i in variant] for k, values in swept.items()},
+        "has_floor": [True] * (v * d),
+        **swept,
         **given_columns,
     }
-    values = {"settle_10_truth_s": values["settle_10_s"], "has_floor": [True] * (v * d)} | values
     ok = [status == "ok" for status in values["status"]]
-    values = {"ok_floor": ok, "ok_truth": ok} | values
-    if not truth:
-        truth_prefixes = (
-            "phi_",
-            "settle",
-            "ok_",
-            "has_",
-            "floor",
-            "status",
-            "nis",
-            "nees",
-            "p_above",
-        )
-        values = {k: x for k, x in values.items() if not k.startswith(truth_prefixes) or k in swept}
-    arrays = []
-    for column in [*layout, *extra_columns]:
-        default = noise if column.dtype == pa.float64() and truth else None
-        default = abs(noise).astype(int) if column in extra_columns and default is None else default
-        default = noise if column.name.startswith(("pitch", "roll", "yaw", "sigma")) else default
-        default = None if pa.types.is_list(column.dtype) else default
-        cells = values.get(column.name, [None] * (v * d) if default is None else default)
+    values = {"ok_floor": ok, "ok_truth": ok, "settle_10_truth_s": values["settle_10_s"]} | values
+    arrays, layout = [], tables.summary_columns(study)
+    for column in layout:
+        absent = not truth and column.name.startswith(TRUE) and column.name not in swept
+        default = abs(noise).astype(int) if column.dtype != pa.float64() else noise
+        if absent or pa.types.is_list(column.dtype) and column.name not in values:
+            default = [None] * (v * d)
+        cells = default if absent else values.get(column.name, default)
         arrays.append(pa.array(cells, column.dtype, from_pandas=True))
-    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema((*layout, *extra_columns)))
+    return pa.Table.from_arrays(arrays, schema=columns.arrow_schema(layout))
 
 
 def synthetic_curves(study, *, truth=True):

@@ -43,7 +43,6 @@ def turn_angle(
 Turning = tuple[tuple[float, ...], tuple[float, ...], float]
 """Begin of the turns, s, their angles, deg, and the rate, deg/s."""
 
-PARKED: Turning = ((), (), 1.0)
 TURNS: dict[str, Turning] = {
     "one turn by 180": ((145.0,), (180.0,), 10.0),
     "one turn by 90": ((145.0,), (90.0,), 10.0),
@@ -73,7 +72,7 @@ def turned_record(
 
     Its motion is one of `TURNS`, "parked", or begin, angle and rate of its turns.
     """
-    turns = (TURNS | {"parked": PARKED})[motion] if isinstance(motion, str) else motion
+    turns = {"parked": ((), (), 1.0), **TURNS}[motion] if isinstance(motion, str) else motion
     gyro, accel, heading_deg = _without_errors(turns, length_s, rate_hz, latitude_deg)
     rng = np.random.default_rng(seed)
     direction = np.array([0.6, -0.64, 0.48])

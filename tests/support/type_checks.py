@@ -1,16 +1,15 @@
 """Checks every call of a package against the annotations of its functions and methods.
 
 By beartype alone: sinsjax annotates arrays as scalars, and thus has no sizes to compare between
-arguments. jaxtyping's own hook does that, and took two thirds of the time of tests without JAX.
-Functions within others are not checked: they are made, and would be decorated, at each call.
+arguments. Neither functions within others are checked, which would be decorated at each call, nor
+the fields of named tuples, which hold JAX's tracers: beartype's own hook does both.
 """
 
 import ast
 import sys
-from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from types import CodeType, ModuleType
+from importlib.machinery import PathFinder, SourceFileLoader
+from types import ModuleType
 from typing import Any
 
 from beartype import beartype
@@ -19,34 +18,14 @@ CHECKED = "checked_by_beartype"
 
 
 class _Decorated(ast.NodeTransformer):
-    """Decorates functions below all other decorators.
-
-    Annotations that are imported for static checkers alone are dropped.
-    """
-
-    def __init__(self) -> None:
-        self._absent: set[str] = set()
-
-    def visit_If(self, node: ast.If) -> ast.If:
-        if ast.unparse(node.test) == "TYPE_CHECKING":
-            imports = [line for line in node.body if isinstance(line, ast.ImportFrom)]
-            self._absent |= {alias.asname or alias.name for line in imports for alias in line.names}
-        return node
-
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        for owner, name in [(node, "returns"), *((arg, "annotation") for arg in node.args.args)]:
-            if getattr(getattr(owner, name), "value", None) in self._absent:
-                setattr(owner, name, None)
         node.decorator_list.append(ast.copy_location(ast.Name(CHECKED, ast.Load()), node))
         return node
 
 
 class _Loader(SourceFileLoader):
-    def source_to_code(
-        self, data: Any, path: Any, fullname: str | None = None, *, _optimize: int = -1
-    ) -> CodeType:  # Python 3.15 passes the name as well
-        tree = _Decorated().visit(ast.parse(data))
-        return compile(tree, path, "exec", dont_inherit=True, optimize=_optimize)
+    def source_to_code(self, data: Any, path: Any, *more: Any, **options: Any) -> Any:
+        return super().source_to_code(_Decorated().visit(ast.parse(data)), path, *more, **options)
 
     def path_stats(self, path: str) -> Any:
         raise OSError("the bytecode beside the source has no checks")
@@ -60,12 +39,9 @@ class _Finder(MetaPathFinder):
     def __init__(self, package: str) -> None:
         self._package = package
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        if name.partition(".")[0] != self._package:
-            return None
-        spec = PathFinder.find_spec(name, path, target)
+    def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> Any:
+        is_checked = name.partition(".")[0] == self._package
+        spec = PathFinder.find_spec(name, path, target) if is_checked else None
         if spec and isinstance(spec.loader, SourceFileLoader):
             spec.loader = _Loader(spec.loader.name, spec.loader.path)
         return spec
