@@ -328,33 +328,37 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
         b: shape (n,), the same draws in the same order.
     """
     first, second = (x.astype(bool) for x in _paired_arrays(a, b))
-    (one, one_low, one_high, n), (two, two_low, two_high, _) = (
-        _wilson_interval(flags) for flags in (first, second)
-    )
-    k, m = int(first.sum()), int(second.sum())
-    # Pearson's phi of the pairs, with Newcombe's continuity correction.
-    excess = float(n * np.count_nonzero(first & second) - k * m)
-    if excess > 0:
-        excess = max(excess - n / 2, 0.0)
-    scale = math.sqrt(k * (n - k) * m * (n - m))
-    correlation = excess / scale if scale else 0.0
+    (one, one_low, one_high), (two, two_low, two_high) = map(_wilson_interval, (first, second))
+    correlation = _paired_correlation(first, second)
 
     def half_width(x: float, y: float) -> float:
         return math.sqrt(max(x * x - 2 * correlation * x * y + y * y, 0.0))
 
     low = one - two - half_width(one - one_low, two_high - two)
     high = one - two + half_width(one_high - one, two - two_low)
-    return Estimate(one - two, low, high, n)
+    return Estimate(one - two, low, high, first.size)
 
 
-def _wilson_interval(flags: NDArray) -> Estimate:
-    """A share with Wilson's score interval."""
+def _wilson_interval(flags: NDArray) -> tuple[float, float, float]:
+    """A share, and the ends of Wilson's score interval."""
     k, n = int(np.count_nonzero(flags)), flags.size
     part, z = k / n, float(special.ndtri(1 - TAIL))
     centre = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * math.sqrt(n * part * (1 - part) + z * z / 4)
     # At 0 and 1 an end of the interval equals the share, apart from rounding.
-    return Estimate(part, centre - half if k else 0.0, centre + half if k < n else 1.0, n)
+    return part, centre - half if k else 0.0, centre + half if k < n else 1.0
+
+
+def _paired_correlation(a: NDArray, b: NDArray) -> float:
+    """Pearson's phi of two paired shares, with Newcombe's continuity correction."""
+    n = a.size
+    both, only_a, only_b = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
+    none = n - both - only_a - only_b
+    scale = math.sqrt((both + only_a) * (only_b + none) * (both + only_b) * (only_a + none))
+    excess = both * none - only_a * only_b
+    if excess > 0:
+        excess = max(excess - n / 2, 0.0)
+    return excess / scale if scale else 0.0
 
 
 def bootstrap_interval(

@@ -13,6 +13,7 @@ def format_estimate(
     unit: str = "",
     digits: int = 1,
     infinite: str = "never",
+    negative: str = "-never",
 ) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
@@ -23,8 +24,9 @@ def format_estimate(
         unit: unit, written after the interval.
         digits: decimals.
         infinite: words for infinite numbers.
+        negative: words for negative infinite numbers.
     """
-    words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": f"-{infinite}"}
+    words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": negative}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])
     value, low, high = (words.get(text, text) for text in printed)
     if math.isinf(estimate.value) and value == low == high:
@@ -36,6 +38,16 @@ def format_estimate(
 def format_number(value: float | None, digits: int = 1) -> str:
     """A number as text; None and NaN are unknown."""
     return "unknown" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def format_time_difference(seconds: Estimate) -> str:
+    """A difference of two settling times in whole seconds, or which of the two never settles."""
+    value, low, high, n = seconds
+    if math.isnan(value):
+        return "neither settles" if n else "unknown"
+    if math.isinf(value) and {low, high} <= {value, 0.0}:  # an end is 0 if neither settles
+        seconds = Estimate(value, value, value, n)
+    return format_estimate(seconds, "", 0, "it never settles", "the first never settles")
 
 
 def format_heading_error(error_arcmin: Estimate) -> str:

@@ -47,9 +47,10 @@ def print_reports(
     """
     try:
         drawn: list[tuple[Report, Mapping[str, bytes]]] = []
+        names: dict[str, None] = {}
         for directory in directories:
             with_tables = full or html is not None
-            report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
+            source, report = _read(directory, with_tables=with_tables, quiet=warnings_shown)
             images = report.draw()
             make_folder(directory / FIGURES_FOLDER)
             for name, content in images.items():
@@ -58,10 +59,11 @@ def print_reports(
             remove_other_figures(directory, [f"{name}.png" for name in images])
             print_report(report, console, directory, full=full)
             drawn.append((report, images))
+            names[source.study.name] = None
         if html is not None:
             make_folder(html.parent)
             with atomic_write(html) as file:
-                file.write(to_html(drawn).encode())
+                file.write(to_html(", ".join(names), drawn).encode())
     except InputError:
         raise
     except Exception as error:
@@ -71,8 +73,8 @@ def print_reports(
         raise InputError(text) from error
 
 
-def _read(directory: Path, *, with_tables: bool, quiet: bool) -> Report:
-    """The report on a directory, which ends with what success means and where its runs are from."""
+def _read(directory: Path, *, with_tables: bool, quiet: bool) -> tuple[Results, Report]:
+    """The results in a directory, and their report."""
     source: Results
     if is_tuning(directory):
         from sinsjax.report import tuning  # late: it needs JAX
@@ -83,12 +85,13 @@ def _read(directory: Path, *, with_tables: bool, quiet: bool) -> Report:
     else:
         source = Results.read(directory)
         report = monte_carlo.build_report(source, with_tables=with_tables, warnings_shown=quiet)
-    config = source.manifest.config or f"study.toml of {source.study.name}"
-    origin = f"{config}; computed by sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}"
-    blocks = [*report.blocks, describe_success_criterion(source.study), origin]
     study = source.study
-    footer = report.footer or f"{study.name}: {study.n_variants:,} × {source.draws:,} runs"
-    return report._replace(blocks=blocks, footer=footer)
+    return source, report._replace(
+        footer=report.footer or f"{study.name}: {study.n_variants:,} × {source.draws:,} runs",
+        definition=describe_success_criterion(study),
+        origin=f"{source.manifest.config or f'study.toml of {study.name}'}; computed by"
+        f" sinsjax {source.manifest.versions.get('sinsjax', 'unknown')}",
+    )
 
 
 def print_report(report: Report, console: Console, directory: Path, *, full: bool = False) -> None:
@@ -101,6 +104,7 @@ def print_report(report: Report, console: Console, directory: Path, *, full: boo
     if not full:
         return
     console.print()
+    print_line(console, report.definition, wrap=True)
     for block in report.blocks:
         if isinstance(block, str):
             print_line(console, block, wrap=True)

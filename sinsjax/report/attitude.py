@@ -15,7 +15,7 @@ from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
 from sinsjax.plots.labels import describe_point, format_value
-from sinsjax.report.base import Fact, Table, caution
+from sinsjax.report.base import MAX_ROWS, Fact, Table, caution
 
 _HEADERS = {
     "heading_deg": ("heading (deg)", 3),
@@ -25,6 +25,8 @@ _HEADERS = {
     "phi_u_arcmin": ("error (')", 1),
 }
 """Columns of the table of final attitudes: their headers and decimals."""
+_DIGITS = dict.fromkeys([f"{angle}_deg" for angle in ("pitch", "roll", "yaw")], 4)
+_DIGITS |= dict.fromkeys([f"sigma_{axis}_arcmin" for axis in "enu"], 2)
 _LEVEL_SIGMAS, _LEVEL_ERRORS = (tuple(f"{x}_{a}_arcmin" for a in "en") for x in ("sigma", "phi"))
 
 
@@ -118,3 +120,18 @@ def last_attitude_table(source: Results) -> Table:
     cells = ([format_number(row[c], _HEADERS[c][1]) for c in columns] for row in rows)
     lines = [[name, *line] for name, line in zip(names, cells, strict=True)]
     return Table("Attitude at the end", header, lines)
+
+
+def attitude_table(source: Results) -> Table:
+    """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
+    keys, variants = ["start_s", *source.study.keys_shown], source.study.n_variants
+    rows = [
+        [
+            *(format_value(row[key]) for key in keys),
+            *(format_number(row[n], _DIGITS[n]) for n in _DIGITS),
+        ]
+        for row in source.rows([*keys, *_DIGITS]).to_pylist()
+    ]
+    title = "Attitude at the end, with the filter's own 1 sigma"
+    whole_starts = MAX_ROWS // variants * variants or MAX_ROWS
+    return Table(title, [*keys, *_DIGITS], rows).shortened(whole_starts)

@@ -92,6 +92,8 @@ class Report(NamedTuple):
         table: the answer per condition, if there are several.
         blocks: all the rest, in the order in which it is read.
         footer: footer of the figures: the runs that they rest on.
+        definition: definition of success.
+        origin: the study's file and the version that computed it.
     """
 
     title: str
@@ -99,6 +101,8 @@ class Report(NamedTuple):
     table: Table | None = None
     blocks: Sequence[Block] = ()
     footer: str = ""
+    definition: str = ""
+    origin: str = ""
 
     @property
     def pictures(self) -> list[Picture]:

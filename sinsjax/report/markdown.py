@@ -33,29 +33,31 @@ th, td {{ text-align: left; padding: .25rem .8rem .25rem 0; border-bottom: 1px s
 """
 
 
-def to_html(reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> str:
+def to_html(title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> str:
     """Return a self-contained HTML page of some reports, with their PNG files by name."""
     parser = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = parser.render("\n\n".join(_page_lines(reports)) + "\n")
-    title = "; ".join(report.title for report, _ in reports)
+    body = parser.render("\n\n".join(_page_lines(title, reports)) + "\n")
     return _PAGE.format(title=escape(escape_controls(title)), body=body)
 
 
-def _page_lines(reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> Iterator[str]:
+def _page_lines(title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> Iterator[str]:
     """The paragraphs of a page in Markdown, with figures as data addresses."""
     mark = escape_markdown
+    yield f"# {mark(title)}"
     for report, images in reports:
-        yield f"# {mark(report.title)}"
+        yield f"## {mark(report.title)}"
         yield "\n".join(f"- **{mark(label)}:** {mark(text)}." for label, text, _ in report.facts)
         for block in (*([report.table] if report.table else ()), *report.blocks):
             yield from _block_lines(block, images)
+        yield mark(report.definition)
+        yield mark(report.origin)
 
 
 def _block_lines(block: Block, images: Mapping[str, bytes]) -> Iterator[str]:
     if isinstance(block, str):
         yield escape_markdown(block)
     elif isinstance(block, Table):
-        yield f"## {escape_markdown(block.title)}"
+        yield f"### {escape_markdown(block.title)}"
         header, *rows = (
             f"| {' | '.join(map(escape_markdown, row))} |" for row in (block.header, *block.rows)
         )

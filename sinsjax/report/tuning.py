@@ -34,7 +34,7 @@ def build_report(tuning: TuningResults) -> Report:
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *map(caution, _doubts(tuning))],
         _summary_table(tuning),
-        [_search_table(tuning), *_landscape(tuning)],
+        [_candidate_table(tuning), *_landscape(tuning)],
         f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
     )
 
@@ -115,19 +115,36 @@ def _summary_table(tuning: TuningResults) -> Table:
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
 
-def _search_table(tuning: TuningResults) -> Table:
-    """What each candidate is, and what its search saw and cost."""
+def _candidate_table(tuning: TuningResults) -> Table:
+    """The candidates by their objective, cost and values."""
+    rival, searches = tuning.rival, tuning.searches
     keys = [key for key in tuning.evaluation.study.cases[0] if key != "case"]
+    settled = [] if tuning.unsettled is None else ["settled (%)"]
+    header = [
+        *("candidate", describe_objective(tuning.search_study)[0], "on the tuning draws", *settled),
+        *(f"less that of '{rival}'", "cost (10^6 steps)", f"of that of '{rival}'", *keys),
+    ]
     rows = []
     for name in tuning.case_numbers:
-        seen = ["-", "-"]
-        if result := tuning.searches.get(name):
-            best = UNKNOWN._replace(value=result.best.objective)
-            seen = [_format(tuning, best), f"{result.cost / 1e6:,.4g}"]
-        rows.append([name, *(format_value(tuning.case(name)[key]) for key in keys), *seen])
-    header = ["candidate", *keys, "on the tuning draws", "cost (10^6 steps)"]
-    note = "Cost: simulated steps of the search, with those of its derivatives."
-    return Table("Searches", header, rows, note)
+        tuned, cost, percent = "-", "-", "-"
+        if name in searches:
+            best = UNKNOWN._replace(value=searches[name].best.objective)
+            tuned, cost = _format(tuning, best), f"{searches[name].cost / 1e6:,.4g}"
+        if name in searches and rival in searches:
+            share = 100 * searches[name].cost / searches[rival].cost
+            percent = f"{share:,.{0 if share >= 100 else 1}f} %"
+        found = tuning.settled_share(name)
+        rows.append(
+            [
+                *(name, _format(tuning, tuning.score_of(name)), tuned),
+                *([format_percent(found)] if found else []),
+                "-" if name == rival else _format(tuning, tuning.difference(name)),
+                *(cost, percent, *(format_value(tuning.case(name)[key]) for key in keys)),
+            ]
+        )
+    note = "Of draws that tuned nothing, the same for all [95 % interval by the bootstrap over"
+    note += " them]. Cost: simulated steps of the search, with those of its derivatives."
+    return Table("Candidates on the unused draws", header, rows, note)
 
 
 def _format(tuning: TuningResults, estimate: Estimate) -> str:

@@ -240,9 +240,12 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
         right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
         text += f", {format_percent(right)} % of north"
     yield Fact("Success", text)
-    text = f"{outcome.n_draws}{' (few)' * (outcome.n_draws < MIN_DRAWS_FOR_INTERVALS)}"
-    text += f" of at most {source.study.n_draws}" if source.study.stop_when else ""
-    yield Fact("Starts" if source.study.is_recorded else "Draws", text)
+    few = " (few)" if outcome.n_draws < MIN_DRAWS_FOR_INTERVALS else ""
+    yield Fact("Starts" if source.study.is_recorded else "Draws", f"{outcome.n_draws}{few}")
+    if (rule := source.study.stop_when) and not source.unfinished:
+        text = f"every half-width of {rule.statistic} is at most {rule.half_width:g}"
+        stopped = outcome.n_draws < source.study.n_draws
+        yield Fact("Stopped", text if stopped else "after the last draw, not by [stop_when]")
 
 
 def _settling_sentence(outcome: SweepOutcome) -> str:

@@ -138,6 +138,12 @@ class TuningResults:
         """The candidate with the best objective on the tuning draws, which is in tuned.toml."""
         return min(self.searches, key=lambda name: self.searches[name].best.objective)
 
+    @property
+    def rival(self) -> str:
+        """The candidate that all others are compared with: the grid's, if there is one."""
+        names = ("grid", *self.searches, "baseline")
+        return next(name for name in names if name in self.case_numbers)
+
     @cached_property
     def case_numbers(self) -> dict[str, int]:
         """Number of the case of each candidate; equal candidates share one."""
@@ -203,8 +209,9 @@ class TuningResults:
         """Return the objective of a candidate on the unused draws."""
         return self._estimate(lambda pick: self._score(name, pick))
 
-    def difference(self, name: str, other: str) -> Estimate:
-        """Return the objective less that of another candidate on equal draws."""
+    def difference(self, name: str, other: str | None = None) -> Estimate:
+        """Return the objective less that of another candidate, or of the rival, on equal draws."""
+        other = other or self.rival
         return self._estimate(lambda pick: self._score(name, pick) - self._score(other, pick))
 
     def _score(self, name: str, draws: NDArray) -> float:

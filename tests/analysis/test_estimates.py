@@ -7,11 +7,14 @@ from fractions import Fraction
 import numpy as np
 import pyarrow as pa
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import optimize, stats
 
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, estimates, summaries
+from sinsjax.analysis.formats import format_time_difference
 
 NEVER, NAN = math.inf, math.nan
 DIFFERENCES = [
@@ -22,18 +25,25 @@ DIFFERENCES = [
 
 
 @pytest.mark.parametrize(
-    ("estimate", "text"),
+    ("estimate", "text", "as_difference"),
     [
-        (Estimate(12.31, 11.88, 12.84, 5), "12 [12, 13]"),
-        (Estimate(NEVER, 300.0, NEVER, 5), "never [300, never]"),
-        (Estimate(NEVER, NEVER, NEVER, 5), "never"),
-        (Estimate(1.0, NAN, 2.0, 9), "1 [few draws, 2]"),
-        (Estimate(1.0, NAN, NAN, 1), "1"),
-        (analysis.UNKNOWN, "unknown"),
+        (Estimate(12.31, 11.88, 12.84, 5), "12 [12, 13]", "12 [12, 13]"),
+        (
+            Estimate(NEVER, 300.0, NEVER, 5),
+            "never [300, never]",
+            "it never settles [300, it never settles]",
+        ),
+        (Estimate(NEVER, NEVER, NEVER, 5), "never", "it never settles"),
+        (Estimate(-NEVER, -NEVER, 0.0, 5), "-never [-never, 0]", "the first never settles"),
+        (Estimate(1.0, NAN, 2.0, 9), "1 [few draws, 2]", "1 [few draws, 2]"),
+        (Estimate(1.0, NAN, NAN, 1), "1", "1"),
+        (Estimate(NAN, -NEVER, 0.0, 5), "unknown [-never, 0]", "neither settles"),
+        (analysis.UNKNOWN, "unknown", "unknown"),
     ],
 )
-def test_estimates_are_printed_with_interval_and_words(estimate, text):
+def test_estimates_are_printed_with_interval_and_words(estimate, text, as_difference):
     assert analysis.format_estimate(estimate, digits=0) == text
+    assert format_time_difference(estimate) == as_difference
 
 
 def test_docstring_examples_run():
@@ -196,12 +206,22 @@ def test_proportion_difference_interval_matches_newcombe_examples(table, interva
     assert swapped[:3] == pytest.approx((-found.value, -found.high, -found.low))
 
 
-def test_quantile_difference_resamples_pairs_together():
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_proportion_difference_of_equal_shares_has_nonzero_width(share):
+    same = np.full(64, share)
+    wilson = stats.binomtest(int(64 * share), 64).proportion_ci(0.95, "wilson")
+    reach = wilson.high - wilson.low
+    assert analysis.proportion_difference(same, same)[:3] == pytest.approx((0.0, -reach, reach))
+
+
+def test_quantile_difference_resamples_pairs_together_and_alike_in_blocks(monkeypatch):
     random = np.random.default_rng(6)
     b = random.uniform(50, 150, 40)
     a = b + random.uniform(0, 30, 40)
     found = analysis.quantile_difference(a, b)
     assert found.low < found.value == np.sort(a)[19] - np.sort(b)[19] < found.high
+    monkeypatch.setattr(estimates, "_BLOCK", 700)
+    assert analysis.quantile_difference(a, b) == found
     assert analysis.quantile_difference(b + 5.0, b)[:3] == pytest.approx((5.0, 5.0, 5.0))
 
 
@@ -233,6 +253,14 @@ def flatten_draws(values):
     return np.ravel(values), draws.ravel()
 
 
+@pytest.mark.parametrize("statistic", [analysis.mean, analysis.rms])
+def test_clusters_of_one_value_equal_independent_values(statistic):
+    values = np.random.default_rng(1).normal(2.0, 1.0, 20)
+    assert statistic(values, np.arange(20)[::-1]) == pytest.approx(statistic(values))
+    assert analysis.quantile(values, 0.9, np.arange(20)) == analysis.quantile(values, 0.9)
+    assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
+
+
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
     values += np.random.default_rng(3).normal(0, 0.3, values.shape)
@@ -241,6 +269,12 @@ def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     assert found[:3] == pytest.approx(by_draw[:3]) and found.n == DRAWS * VARIANTS
     holed = np.append(runs, [math.inf, math.nan])
     assert analysis.mean(holed, np.append(draws, [0, 99])) == found
+
+
+def test_share_of_identical_runs_per_draw_is_share_of_draws():
+    whole = np.repeat(np.arange(DRAWS) < 5, VARIANTS).reshape(DRAWS, VARIANTS)
+    oracle = stats.binomtest(5, DRAWS).proportion_ci(0.95, "exact")
+    assert analysis.share(*flatten_draws(whole))[:3] == pytest.approx((5 / 16, *oracle), rel=1e-9)
 
 
 def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
@@ -264,6 +298,22 @@ def test_share_ends_are_quantiles_of_dirichlet_weighted_share(sizes):
     ]
     expected = np.quantile(weighted[0], 0.025), np.quantile(weighted[1], 0.975)
     assert analysis.share(flags, draw)[1:3] == pytest.approx(expected, abs=2e-3)
+
+
+FLAGS = st.lists(st.lists(st.booleans(), min_size=1, max_size=8), min_size=2, max_size=20)
+
+
+@given(FLAGS, st.integers(0, 10**6))
+def test_share_ends_never_rise_with_further_failure(flags, chosen):
+    draws = np.repeat(np.arange(len(flags)), [len(one) for one in flags])
+    runs = np.concatenate(flags)
+    found = analysis.share(runs, draws)
+    assert 0 <= found.low <= found.value <= found.high <= 1
+    succeeded = np.flatnonzero(runs)
+    if succeeded.size:
+        runs[succeeded[chosen % succeeded.size]] = False
+        worse = analysis.share(runs, draws)
+        assert worse.low <= found.low + 1e-7 and worse.high <= found.high + 1e-7
 
 
 def test_spread_between_variants_does_not_widen_intervals():

@@ -5,7 +5,8 @@ import io
 import re
 import sys
 import unicodedata
-from html import escape, unescape
+from html import escape
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
 from support.synthetic_tables import synthetic_summary
 
+from sinsjax import console as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
@@ -59,7 +61,8 @@ def whole_report(text: str) -> Report:
     picture = Picture("fig", text, Figure())
     picture.figure.suptitle(text)
     table = Table(text, [text], [[text]], text)
-    return Report(text, [Fact(text, text)], None, [text, table, picture])
+    blocks = [text, table, picture]
+    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -90,26 +93,42 @@ def test_control_characters_in_any_part_of_report_are_escaped(
     monkeypatch.setenv("COLUMNS", "200")
     printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
     report.print_report(whole, printed, tmp_path, full=True)
-    for text in (printed.file.getvalue(), to_html([(whole, {"fig": PNG})])):
+    for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
-        assert text.count(r"part\x1b") >= 8
+        assert text.count(r"part\x1b") >= 9
 
 
 def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
     nasty = " ".join(NASTY)
-    text = to_html([(whole_report(nasty), {"fig": PNG})])
-    assert not re.search(r"<(script|link|b|a|i)\b|url\(|@import", text)
-    for tag in ("table", "td", "th", "h1", "h2", "img"):
-        assert len(re.findall(rf"<{tag}\b", text)) == 1
-    (image,) = re.findall('src="data:image/png;base64,([^"]+)"', text)
-    assert base64.b64decode(image) == PNG
-    assert unescape(text).count(nasty) == 11  # with the alternative text of the figure
+    text = to_html("<i>& so", [(whole_report(nasty), {"fig": PNG})])
+    assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
+    seen: list[str] = []
+    attributes: list[tuple[str, str | None]] = []
+    words: list[str] = []
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            seen.append(tag)
+            attributes.extend(attrs)
+
+        def handle_data(self, data: str) -> None:
+            words.append(data)
+
+    Reader(convert_charrefs=True).feed(text)
+    assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")} == {1}
+    assert not {"b", "a", "i"} & {*seen}
+    shown = "".join(words)
+    assert shown.count(nasty) == 11 and "<i>& so" in shown
+    (source,) = (value for name, value in attributes if name in ("src", "href") and value)
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
+    assert ("alt", nasty) in attributes
 
 
 def test_html_page_of_results_has_all_tables_and_figures_without_full(results: Path) -> None:
     page = results.parent / "page.html"
     printed = report_text(results, html=page, full=False)
-    assert "Every variant" in page.read_text() and "Every variant" not in printed
+    for title in ("Heading error from true north", "Every variant", "Against "):
+        assert title in page.read_text() and title not in printed
     figures = len(list((results / "figures").glob("*.png")))
     assert page.read_text().count("data:image/png;base64,") == figures > 0
 
@@ -126,6 +145,12 @@ def test_failed_report_is_one_line_and_keeps_the_results(
         report_text(results)
     assert "\n" not in str(error.value)
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
+    screen.print_warning("a\nb\x1b[2J\u202e")
+    assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
 
 
 def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:

@@ -10,15 +10,21 @@ import pytest
 from rich.console import Console
 from support.stored_results import report_text, store_results
 from support.studies import STILL, small_study, with_paper_values
-from support.synthetic_tables import synthetic_curves, synthetic_summary
+from support.synthetic_tables import FLOOR, synthetic_curves, synthetic_summary
 
-from sinsjax import report
+from sinsjax import analysis, report
+from sinsjax.analysis.formats import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.results import Results
 from sinsjax.execution.tables import replace_column
 from sinsjax.report.base import Table
-from sinsjax.report.monte_carlo import build_report, build_verdict, statistics_table
+from sinsjax.report.monte_carlo import (
+    build_report,
+    build_verdict,
+    comparison_table,
+    statistics_table,
+)
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -65,6 +71,29 @@ def test_pooled_variants_have_intervals_counted_by_draws(tmp_path):
     assert names_of(tmp_path) == {"settling_time", "settling_time_floor", "consistency"}
 
 
+@pytest.mark.parametrize("axes", [{}, {"reset_count": [1, 2]}])
+def test_variants_are_compared_with_first_of_same_conditions_on_same_noise(axes):
+    """From 30 deg every run settles 100 s later, and a second reset 7 s later."""
+    axes = axes | {"phi_u0_deg": [0.0, 30.0]}
+    study = small_study(study={"draws": 40}, axes=axes, resets={"reset_cycle_s": 1.0})
+    later = [0.0, 100.0, 7.0, 107.0][: study.n_variants]
+    settle = 50.0 + np.add.outer(np.arange(40.0), later).ravel()
+    status = ["ok"] * (len(settle) - 1) + ["diverged"]
+    source = results_of(study, settle_10_s=settle, status=status)
+    table = comparison_table(source)
+    if study.n_variants == 4:
+        assert table.title == "Against number of resets 1, on the same noise"
+        assert [row[:2] for row in table.rows] == [["2", "0"], ["2", "30"]]
+        assert all("7 [7, 7]" in row for row in table.rows)
+        return
+    (row,) = table.rows
+    share = analysis.proportion_difference(np.arange(40) < 39, np.full(40, True))
+    yaw = np.abs(source.summary["phi_u_mean_arcmin"].to_numpy() - FLOOR)
+    error = analysis.format_estimate(analysis.mean_difference(yaw[1::2], yaw[::2]))
+    assert table.title == "Against initial heading error 0 deg, on the same noise"
+    assert row[0] == "30" and {"100 [100, 100]", format_percent(share), error} <= {*row}
+
+
 def test_duplicate_variants_count_once_in_verdict_tables_and_shares():
     """The runs without resets end right, those with one do not: 3 of 12 runs, not 9 of 18."""
     study = small_study(axes={"reset_count": [0, 1], "reset_cycle_s": [1.0, 2.0, 3.0]})
@@ -90,6 +119,19 @@ def test_duplicate_variants_count_once_in_verdict_tables_and_shares():
 
 
 # --- figures ------------------------------------------------------------------------------------
+
+
+def test_zipped_axes_are_plotted_as_one_axis():
+    level = {"phi_e0_deg": [0.0, 5.0, 10.0], "phi_n0_deg": [0.0, 5.0, 5.0]}
+    study = small_study(axes={"level": level, "phi_u0_deg": [0.0, 30.0]})
+    settle = np.tile([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], 3)
+    pictures = build_report(results_of(study, settle_10_s=settle), with_tables=False).pictures
+    axes = next(one for one in pictures if one.name == "settling_time").figure.axes[0]
+    assert (axes.get_ylabel(), axes.get_xlabel()) == (
+        "initial level error about east (deg)",
+        "initial heading error (deg)",
+    )
+    np.testing.assert_allclose(axes.get_images()[0].get_array(), settle[:6].reshape(3, 2))
 
 
 def test_list_valued_axis_is_plotted_as_categories():
@@ -135,10 +177,10 @@ def test_record_without_reference_reports_attitude_and_sigma(tmp_path):
         "record": {"format": "psins", "start_s": [0.0, 10.0, 20.0]},
     }
     study = study_from_dict(with_paper_values(data))
-    summary = synthetic_summary(study, truth=False, heading_deg=[90.1234, 1.0, 2.0])
+    summary = synthetic_summary(study, truth=False, yaw_deg=[-90.1234, 1.0, 2.0])
     curves = synthetic_curves(study, truth=False)
     text = report_text(store_results(tmp_path, study, summary, curves))
-    assert "90.123" in text and "1 sigma" in text and " within 10' of " not in text
+    assert "-90.1234" in text and "sigma_u_arcmin" in text and " within 10' of " not in text
     assert names_of(tmp_path) == {"attitude"}
 
 
@@ -182,13 +224,14 @@ def test_methods_without_heading_or_covariance_are_reported_next_to_a_filter(tmp
 # --- stopped and unfinished studies -------------------------------------------------------------
 
 
-def test_stopped_study_reports_its_draws(tmp_path):
+def test_stopped_study_reports_reason_for_stopping(tmp_path):
     rule = {"statistic": "success_rate", "half_width": 0.9}
     study = small_study(study={"draws": 100}, stop_when=rule)
     source = Results.read(
         store_results(tmp_path, study, synthetic_summary(study).slice(0, 64), state="complete")
     )
-    assert facts_of(build_verdict(source))["Draws"] == "64 of at most 100"
+    why = facts_of(build_verdict(source))["Stopped"]
+    assert why == "every half-width of success_rate is at most 0.9"
 
 
 def test_unfinished_report_warns_with_share_of_runs(tmp_path):

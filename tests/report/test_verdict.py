@@ -12,6 +12,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.base import Report
+from sinsjax.report.choices import Choices
 from sinsjax.report.monte_carlo import build_verdict
 from sinsjax.report.verdict import process_noise_caution
 from sinsjax.study.study import Study
@@ -44,6 +45,16 @@ def settling(settle_s: np.ndarray) -> dict[str, Any]:
     status = list(np.where(np.isfinite(settle_s.ravel()), "ok", "not_settled"))
     times = dict.fromkeys(("settle_10_s", "settle_10_truth_s"), settle_s.ravel())
     return {"status": status, **times}
+
+
+def test_copies_of_a_variant_are_one_option() -> None:
+    choices = Choices.from_study(sweep_study())
+    resets = [f"{name} {time} s" for name in ("1 reset at", "2 resets, every") for time in (1, 2)]
+    assert choices.options == ["no reset", *resets]
+    assert choices.without_resets == [0]
+    runs = choices.runs(4)
+    assert runs.shape == (5, 3, 4)
+    np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
 
 def settling_times() -> np.ndarray:
@@ -168,4 +179,5 @@ def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path: Pa
     assert len(short.splitlines()) <= 18 and "Every variant" not in short
     assert all(len(line) <= 80 or str(tmp_path) in line for line in short.splitlines())
     assert "--full" in short
-    assert "Every variant" in report_text(directory)
+    full = report_text(directory)
+    assert "Every variant" in full and "Heading error from true north" in full
