@@ -22,7 +22,7 @@ def write_psins(
         math.nan if x is None else x for x in (record.latitude_deg, record.height_m)
     )
     header = [
-        [*(record.attitude_deg or [math.nan] * 3), 0.0, 0.0, 0.0],
+        [*[math.nan] * 3, 0.0, 0.0, 0.0],
         [latitude, 0.0, height, record.t0_s, 1e3 / record.rate_hz, gravity],
         [gyro_arcsec] * 3 + [accel_ug_s] * 3,
     ]
