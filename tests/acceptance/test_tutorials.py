@@ -60,8 +60,8 @@ def test_start_tutorial_commands_run_with_expected_output(typed: Typed) -> None:
     few += " --set study.duration_s=450 --set study.window_s=[300,450]"
     told = typed("start.md", shorter={"sweep reset_sweep": few})
     first, full = told[0], told[2]
-    assert "reset_sweep: 56 runs in " in first and "By reset_count" not in first
-    assert "By reset_count" in full
+    assert "reset_sweep: 56 runs in " in first and "by reset_count" not in first
+    assert "by reset_count" in full
     assert read_summary(Path("gravity"))["ok_floor"].to_pylist() == [True] * 56
     shares = [re.findall(r"Success +(\d+) \[.* floor, (\d+) \[", text) for text in told[7:9]]
     assert shares == [[("94", "88")], [("94", "6")]]  # from the bias floor, and from north
