@@ -2,9 +2,9 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -141,7 +141,6 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_study
     from sinsjax.study.unused_keys import list_idle_keys
-    from sinsjax.tuning.run_tuning import prepare_tuning
 
     runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes or ())
@@ -154,7 +153,10 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
-    job = (prepare_tuning if study.tune else prepare_job)(config, overrides)
+    prepare: Callable[..., Any] = prepare_job
+    if study.tune:
+        from sinsjax.tuning.run_tuning import prepare_tuning as prepare
+    job = prepare(config, overrides)
     expected = job.forecast
     assert expected is not None
     steps = expected.length_s * study.rate_hz

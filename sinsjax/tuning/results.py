@@ -12,7 +12,6 @@ from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
-from sinsjax.plots.labels import format_setting, format_value
 from sinsjax.study import display
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.identity import fingerprint
@@ -116,6 +115,8 @@ class TuningResults:
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
+        from sinsjax.plots.labels import format_setting, format_value  # plots import Matplotlib
+
         point = ", ".join(format_setting(key, format_value(v)) for key, v in self.best.items())
         score, baseline = map(format_estimate, (self.score, self.baseline))
         facts = {
