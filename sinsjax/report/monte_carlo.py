@@ -58,7 +58,7 @@ def build_report(
         blocks.append(attitude_table(source))
     if with_tables and outcome:
         blocks += _all_tables(source, outcome)
-    return build_verdict(source, warnings_shown=warnings_shown)._replace(blocks=blocks)
+    return _state_verdict(source, outcome, warnings_shown=warnings_shown)._replace(blocks=blocks)
 
 
 def _find_outcome(source: Results) -> SweepOutcome | None:
@@ -77,7 +77,13 @@ def build_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
         source: the results.
         warnings_shown: whether the user has seen the study's warnings.
     """
-    study, outcome = source.study, _find_outcome(source)
+    return _state_verdict(source, _find_outcome(source), warnings_shown=warnings_shown)
+
+
+def _state_verdict(
+    source: Results, outcome: SweepOutcome | None, *, warnings_shown: bool
+) -> Report:
+    study = source.study
     finds_heading = any(METHODS[name].finds_heading for name in study.methods)
     band, doubts = warning_facts(source, warnings_shown=warnings_shown)
     doubts += fit_cautions(source)
