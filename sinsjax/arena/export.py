@@ -26,7 +26,7 @@ from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
-from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
+from sinsjax.platform.files import make_folder, read_regular_file, write_file
 from sinsjax.records import Record
 from sinsjax.study.identity import fingerprint
 from sinsjax.study.load import load_study, study_to_toml
@@ -115,11 +115,14 @@ def export_study(
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: is not empty (give another directory, or delete it)")
     make_folder(out / RECORDS)
-    readme = _README.format(study=study.name, format=format, frame=frame)
-    files = [
-        _write_file(out / STUDY, study_to_toml(runs.source).encode()),
-        _write_file(out / README, readme.encode()),
-    ]
+    digests: dict[str, str] = {}
+
+    def write(name: str, content: bytes) -> None:
+        write_file(out / name, content)
+        digests[name] = hashlib.sha256(content).hexdigest()
+
+    write(STUDY, study_to_toml(runs.source).encode())
+    write(README, _README.format(study=study.name, format=format, frame=frame).encode())
     starts, places = np.empty((6, *runs.run_id.shape)), np.empty((3, *runs.run_id.shape))
     truths: dict[int, pa.Table] = {}
     for batch, condition in runs.batches():
@@ -133,16 +136,16 @@ def export_study(
         truths[environment] = _truth_table(found.truth, names, frame, study)
         records = simulated_records(batch, study.rate_hz, study.name)
         for draw, (name, record) in enumerate(zip(names, records, strict=True)):
-            files.append(_write_file(out / name, _record_content(record, format, frame)))
+            write(name, _record_content(record, format, frame))
             place = record.latitude_deg, record.height_m, record.gravity_m_per_s2
             places[:, draw, runs.environments == environment] = np.array(place, float)[:, None]
             if on_progress is not None:
                 total = study.n_draws * (int(runs.environments.max()) + 1)
-                on_progress(RunProgress(len(files) - 2, total, None, 0, "records"))
+                on_progress(RunProgress(len(digests) - 2, total, None, 0, "records"))
     initial = initial_table(runs, [*starts, *places], format, frame)
-    files.append(_write_file(out / INITIAL, _to_csv(initial)))
+    write(INITIAL, _to_csv(initial))
     truth = pa.concat_tables([truths[number] for number in sorted(truths)])
-    files.append(_write_file(out / TRUTH, _to_parquet(truth)))
+    write(TRUTH, _to_parquet(truth))
     manifest = {
         "schema": _SCHEMA,
         "sinsjax": runtime.package_version(),
@@ -151,9 +154,9 @@ def export_study(
         "draws": [0, study.n_draws],
         "format": format,
         "frame": frame,
-        "files": {path.relative_to(out).as_posix(): {"sha256": _digest(path)} for path in files},
+        "files": {name: {"sha256": digest} for name, digest in digests.items()},
     }
-    _write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
+    write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
     return out
 
 
@@ -260,12 +263,6 @@ def _to_parquet(table: pa.Table) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()
-
-
-def _write_file(path: Path, content: bytes) -> Path:
-    with atomic_write(path) as file:
-        file.write(content)
-    return path
 
 
 def _digest(path: Path) -> str | None:

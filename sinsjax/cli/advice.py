@@ -10,7 +10,7 @@ import typer
 from sinsjax.cli.options import Changes, completes
 from sinsjax.cli.study_files import require_new
 from sinsjax.console import plain_console, print_line
-from sinsjax.platform.files import atomic_write
+from sinsjax.platform.files import write_file
 
 _WIDEST = 100
 _WRAPPED: Any = {"subsequent_indent": " " * 12, "drop_whitespace": True, "break_on_hyphens": False}
@@ -95,8 +95,7 @@ def advise(
             for part in textwrap.wrap(line, width, **_WRAPPED) or [""]:
                 print_line(console, part)
     if study_file is not None:
-        with atomic_write(study_file) as file:
-            file.write(found.study().encode())
+        write_file(study_file, found.study().encode())
         if not as_json:
             print_line(
                 console, f"{study_file} written; `sinsjax sweep {study_file} -o out` confirms it."

@@ -13,7 +13,7 @@ from sinsjax.cli.options import Changes, Config
 from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
 from sinsjax.platform import runtime
-from sinsjax.platform.files import atomic_write
+from sinsjax.platform.files import write_file
 
 
 def _list_names() -> list[str]:
@@ -92,8 +92,7 @@ def init(
         text = make_study_text(from_, path, parse_changes(changes or ()))
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
-    with atomic_write(path) as file:
-        file.write(text.encode())
+    write_file(path, text.encode())
     print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
         for line in _describe_gaps(text, path, from_):

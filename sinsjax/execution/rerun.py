@@ -18,7 +18,7 @@ from sinsjax.execution.prepare import load_increments
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import Job
-from sinsjax.platform.files import atomic_write, make_folder
+from sinsjax.platform.files import atomic_write, make_folder, write_file
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.study import Study
 
@@ -70,8 +70,8 @@ def rerun_stored_run(
     for name, table in (("summary", row), ("curve", curve)):
         with atomic_write(target / f"{name}.parquet") as file:
             pq.write_table(table, file, compression="zstd")
-    with atomic_write(target / "curve.png") as file:
-        file.write(plots.render_png(plots.plot_curves(curve, row, title=title)))
+    figure = plots.plot_curves(curve, row, title=title)
+    write_file(target / "curve.png", plots.render_png(figure))
     (before,), (now,) = stored.to_pylist(), row.to_pylist()
     for name, value in now.items():
         screen.print_line(console, f"{name:>30}  {value}")

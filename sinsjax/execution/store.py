@@ -24,7 +24,7 @@ from sinsjax.execution.tasks import Job, Task, TaskResult, part_metadata
 from sinsjax.messages import shorten
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
-from sinsjax.platform.files import atomic_write, make_folder, read_regular_file
+from sinsjax.platform.files import make_folder, read_regular_file, write_file
 from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json, with_draws
 from sinsjax.study.load import study_to_toml
 
@@ -115,7 +115,7 @@ class DirectoryStore:
         parts = (path for name in DATASETS for path in places.list_parts(self._directory, name))
         places.remove_files(path for path in parts if path.stem not in self._done)
         self._write_manifest("running")  # first, to mark the files of a killed run as results
-        _write_file(self._directory / STUDY, study_to_toml(self._job.study).encode())
+        write_file(self._directory / STUDY, study_to_toml(self._job.study).encode())
         return [task for task in planned if task.name not in self._done]
 
     def _is_stored(self, task: Task) -> bool:
@@ -135,7 +135,7 @@ class DirectoryStore:
         for dataset, _ in result.task.rows:
             path = self._part_path(dataset, result.task)
             make_folder(path.parent)
-            _write_file(path, result.content[dataset])
+            write_file(path, result.content[dataset])
         self._done[result.task.name] = result.task
         if time.monotonic() >= self._next_manifest:
             self._write_manifest("running")
@@ -176,7 +176,7 @@ class DirectoryStore:
             **self._facts,
             "study": sections_to_json(study),
         }
-        _write_file(self._directory / MANIFEST, to_sealed_json(entries))
+        write_file(self._directory / MANIFEST, to_sealed_json(entries))
         self._next_manifest = time.monotonic() + _MANIFEST_EVERY_S
 
 
@@ -189,8 +189,3 @@ def write_table(job: Job, summary: pa.Table) -> None:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))
         store.finish("complete")
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    with atomic_write(path) as file:
-        file.write(content)

@@ -44,6 +44,12 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
             temporary.unlink()
 
 
+def write_file(path: str | Path, content: bytes) -> None:
+    """Write a whole file with `atomic_write`."""
+    with atomic_write(path) as file:
+        file.write(content)
+
+
 def read_regular_file(path: Path) -> bytes:
     """Read a regular file; nothing is read through a link or from a pipe.
 

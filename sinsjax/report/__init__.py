@@ -13,7 +13,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.directory import remove_other_figures
 from sinsjax.execution.results import Results
 from sinsjax.messages import shorten
-from sinsjax.platform.files import atomic_write, make_folder
+from sinsjax.platform.files import make_folder, write_file
 from sinsjax.report import monte_carlo
 from sinsjax.report.base import Report, Table, describe_success_criterion
 from sinsjax.report.markdown import to_html
@@ -54,16 +54,14 @@ def print_reports(
             images = report.draw()
             make_folder(directory / FIGURES_FOLDER)
             for name, content in images.items():
-                with atomic_write(directory / FIGURES_FOLDER / f"{name}.png") as file:
-                    file.write(content)
+                write_file(directory / FIGURES_FOLDER / f"{name}.png", content)
             remove_other_figures(directory, [f"{name}.png" for name in images])
             print_report(report, console, directory, full=full)
             drawn.append((report, images))
             names[source.study.name] = None
         if html is not None:
             make_folder(html.parent)
-            with atomic_write(html) as file:
-                file.write(to_html(", ".join(names), drawn).encode())
+            write_file(html, to_html(", ".join(names), drawn).encode())
     except InputError:
         raise
     except Exception as error:

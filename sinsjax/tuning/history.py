@@ -16,7 +16,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
 from sinsjax.execution import sealed
 from sinsjax.messages import escape_controls
-from sinsjax.platform.files import atomic_write
+from sinsjax.platform.files import write_file
 from sinsjax.study.keys import TomlTable, key_meaning
 from sinsjax.study.load import study_from_dict, study_to_toml
 from sinsjax.study.search_space import SearchSpace
@@ -134,8 +134,8 @@ def write_history(directory: Path, study: Study, searches: Iterable[SearchResult
         for c in layout
     ]
     table = pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
-    with atomic_write(directory / FILE) as file:
-        file.write(sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)}))
+    content = sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)})
+    write_file(directory / FILE, content)
 
 
 def read_history(directory: str | Path) -> pa.Table:

@@ -20,7 +20,7 @@ from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
-from sinsjax.platform.files import atomic_write, unwritable_message
+from sinsjax.platform.files import unwritable_message, write_file
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.identity import describe_differences, fingerprint
 from sinsjax.study.load import study_to_toml, with_point
@@ -130,8 +130,7 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
         except OSError as error:
             raise InputError(unwritable_message(directory, error)) from error
         history.write_history(directory, study, found.values())
-        with atomic_write(directory / STUDY) as file:
-            file.write(study_to_toml(study).encode())
+        write_file(directory / STUDY, study_to_toml(study).encode())
         for name in require_tune(study).searches:
             if name != search.GRADIENT:  # points that are stored are not run again
                 found[name] = search.search_points(study, name, session)
@@ -144,8 +143,7 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
         text = study_to_toml(tuned)
         if not study.is_recorded:
             text = f"# The seed is new: its draws neither tuned nor evaluated.\n{text}"
-        with atomic_write(directory / TUNED) as file:
-            file.write(text.encode())
+        write_file(directory / TUNED, text.encode())
 
 
 def _check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
