@@ -209,9 +209,7 @@ class TaskRunner:
                 content[name] = sealed.to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
-    def compile(
-        self, tasks: Iterable[Task], on_compiled: Callable[[Future], None] = lambda _: None
-    ) -> None:
+    def compile(self, tasks: Iterable[Task], on_compiled: Callable[[Future], None]) -> None:
         """Begin to compile the programs of some tasks of one stage, in their order."""
         for program, of in groupby(tasks, lambda task: task.part):
             self._compiling(program, range(*next(of).draws)).add_done_callback(on_compiled)

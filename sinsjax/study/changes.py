@@ -57,8 +57,8 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     """Return a study's tables with some values changed; both arguments are left as they are.
 
     A place is ``section.key``, ``axes.key``, ``axes.NAME.key``, ``drawn.key`` or deeper, such as
-    ``tune.variables.p0_yaw_deg.low``; or ``cases`` for all of them. The user of `SetOptions` is
-    told the alternatives to a key that it replaces.
+    ``tune.variables.p0_yaw_deg.low``; or ``cases`` for all of them. For `SetOptions` the
+    alternatives that a key replaces are printed.
     """
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
