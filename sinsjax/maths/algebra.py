@@ -51,11 +51,6 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
     return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def entries_as_numbers(entries: Entries) -> dict[tuple[int, int], Scalar]:
-    """Return the entries as plain scalars, with each `Minus` negated."""
-    return {at: -a.of if isinstance(a, Minus) else a for at, a in entries.items()}
-
-
 @cache
 def triangle_index(n: int) -> dict[tuple[int, int], int]:
     """Return the position in its `Triangle` of each entry (i, j) of an n x n symmetric matrix."""

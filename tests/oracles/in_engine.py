@@ -13,7 +13,7 @@ from oracles.naive import DEG, WGS84, Filter, Loops, Planet, Swing, quaternion
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams
 from sinsjax.engine.metrics import Criteria
 from sinsjax.engine.run import Intervals, TileState, advance_interval
-from sinsjax.maths.algebra import entries_as_numbers, triangle_index
+from sinsjax.maths.algebra import Minus, triangle_index
 from sinsjax.methods import compass
 from sinsjax.methods.compass import AzimuthGains, LevelGains
 from sinsjax.methods.filters.keys import acting_reset_times
@@ -202,8 +202,8 @@ def covariances(triangle: Sequence[Any]) -> np.ndarray:
 def dense(entries, n):
     """The matrix (n, n) of entries by place."""
     matrix = np.zeros((n, n))
-    for at, value in entries_as_numbers(entries).items():
-        matrix[at] = value
+    for at, value in entries.items():
+        matrix[at] = -value.of if isinstance(value, Minus) else value
     return matrix
 
 
