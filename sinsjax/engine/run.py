@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine import metrics
+from sinsjax.engine import metrics, stepping
 from sinsjax.engine.inputs import (
     Draw,
     Environment,
@@ -28,10 +28,9 @@ from sinsjax.engine.inputs import (
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.samples import SensorState, TileSensors
-from sinsjax.engine.stepping import Steps, take_samples
+from sinsjax.engine.stepping import PassReading, Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
-from sinsjax.methods import passes
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.method import (
     AttitudeCovariance,
@@ -40,7 +39,6 @@ from sinsjax.methods.method import (
     earth_floor,
     unknown_covariance,
 )
-from sinsjax.methods.passes import PassReading
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -206,7 +204,7 @@ class RunFunctions(NamedTuple):
         samples = zero + float(coarse.intervals * self.spec.interval_samples)
         if rotation is not None and coarse.replays:
             time = samples * self.spec.options.dt
-            q = passes.rewind_attitude(q, rotation, site.place, time)
+            q = stepping.rewind_attitude(q, rotation, site.place, time)
             return self.method.init(params.method, initial_solution(site, q, zero, zero))
         nav = initial_solution(site, rotations.normalise(q), zero, zero)
         state = self.method.init(params.method, nav)
@@ -216,7 +214,7 @@ class RunFunctions(NamedTuple):
     def reverse(self, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
         """Return the state of the method after a direction reversal that opens a pass."""
         assert self.method.passes is not None
-        before = passes.site_of_pass(site, ~backward)
+        before = stepping.site_of_pass(site, ~backward)
         return self.method.passes.reverse(params.method, before, state)
 
     def observe(self, run: Run, q_true: Quat, floor: Scalar, n: Scalar) -> Run:
@@ -321,7 +319,7 @@ class TileRuns(NamedTuple):
     def read(self, number: Count) -> PassReading:
         """Return the samples that an interval reads."""
         pass_intervals = self.environment.pass_intervals if self.spec.reverses else None
-        return passes.read_interval(number, pass_intervals, self.spec.interval_samples)
+        return stepping.read_interval(number, pass_intervals, self.spec.interval_samples)
 
     def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
         """Return the states of methods and sensors as an interval begins, which may open a pass."""
@@ -343,7 +341,7 @@ class TileRuns(NamedTuple):
     def steps(self, reading: PassReading, number: Count) -> Steps:
         """Return the effect of the samples of an interval on the state of all runs."""
         method, params, axis = self.one.method, self.params.method, self.site_axis
-        site = passes.site_of_pass(self.site, reading.backward)
+        site = stepping.site_of_pass(self.site, reading.backward)
         done = number * self.spec.interval_samples  # samples before this interval
         step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draws.run_axis, None))
 

@@ -14,11 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
-from sinsjax.engine.stepping import Blocks
+from sinsjax.engine.stepping import Blocks, PassReading, accumulate_rotation, compensate
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
-from sinsjax.methods import passes
-from sinsjax.methods.passes import PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
@@ -228,7 +226,7 @@ class TileSensors(NamedTuple):
             record: kept records, leaves (samples, draws); None to measure.
         """
         measure, size = self.make_sampler(reading.samples), self.block_size
-        compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=reading.backward)))
+        compensated = jax.vmap(jax.vmap(partial(compensate, backward=reading.backward)))
 
         def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
             places = number * size + jnp.arange(size)
@@ -241,9 +239,9 @@ class TileSensors(NamedTuple):
                 jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, state.last),
                 jax.tree.map(lambda a: a[-1], now),
             )
-            samples, rotation = compensate(now, before), state.rotation
+            samples, rotation = compensated(now, before), state.rotation
             if rotation is not None:
-                rotation = passes.accumulate_rotation(rotation, samples)
+                rotation = accumulate_rotation(rotation, samples)
             return samples, later._replace(last=last, rotation=rotation)
 
         return Blocks(self.spec.interval_samples, size, make)

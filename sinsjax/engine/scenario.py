@@ -15,7 +15,6 @@ import jax
 import numpy as np
 
 from sinsjax import units
-from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.inputs import (
     CoarseStage,
@@ -24,6 +23,9 @@ from sinsjax.engine.inputs import (
     ProgramSpec,
     RunParams,
     aligned_record,
+    coarse_attitudes,
+    true_attitudes,
+    true_increments,
 )
 from sinsjax.engine.metrics import Criteria
 from sinsjax.errors import InputError
@@ -35,8 +37,7 @@ from sinsjax.platform import runtime
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord, reference_attitudes
 from sinsjax.strapdown import earth, processes, sensors
-from sinsjax.strapdown.attitude_path import attitude_path
-from sinsjax.strapdown.base_motion import Motion, Sway
+from sinsjax.strapdown.base_motion import Motion, Sway, attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
@@ -330,8 +331,8 @@ def _simulated_inputs(
         samples = _samples_read(study)
         samples = samples if samples <= MOST_STORED_SAMPLES else 0
         travels = disturbances.surge is not None or (rocks and motion.lever is not None)
-        rows = truth.true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
-        attitudes = truth.true_attitudes(motion, times, blank=blank)
+        rows = true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
+        attitudes = true_attitudes(motion, times, blank=blank)
         if samples:
             increments, axes = rows[:, :6], rows[:, 6:] if travels else None
     environment = Environment(
@@ -421,7 +422,7 @@ def _recorded_inputs(
     q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     if coarse_n:
         pieces = np.stack([increments[start - first :][:coarse_n] for start in starts])
-        q = truth.coarse_attitudes(method, pieces, 1 / rate, keys.site)
+        q = coarse_attitudes(method, pieces, 1 / rate, keys.site)
     fine = starts + coarse_n
     times = [start / rate + study.stored_times(span) for start in fine]
     environment = Environment(

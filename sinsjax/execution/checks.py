@@ -10,8 +10,7 @@ import numpy as np
 from sinsjax.engine.scenario import Scenario, read_site, start_samples
 from sinsjax.errors import InputError
 from sinsjax.messages import format_seconds
-from sinsjax.methods.plugins import check_plugin
-from sinsjax.methods.registry import METHODS, PACKAGES
+from sinsjax.methods.registry import METHODS, PACKAGES, check_plugin
 from sinsjax.records import Record, require_span
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
 from sinsjax.records.layout import Finding

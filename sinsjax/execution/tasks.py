@@ -20,8 +20,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
-from sinsjax.engine.duplicates import find_duplicates
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, find_duplicates, map_in_threads
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution import results, sealed, stopping
 from sinsjax.execution.forecast import Forecast

@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import predict_settling_time
+from sinsjax.methods.reset_law import ResetProblem, predict_settling_time
 from sinsjax.study import display
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study

@@ -16,7 +16,7 @@ from oracles.naive import DEG, WGS84
 from oracles.rigid_body import multiply, of_vector, rotate
 
 from sinsjax.strapdown import base_motion, disturbances, housing, processes
-from sinsjax.strapdown.attitude_path import attitude_path
+from sinsjax.strapdown.base_motion import attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.turns import Turns
 from sinsjax.types import Increments, Vec3

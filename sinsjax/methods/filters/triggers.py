@@ -16,7 +16,7 @@ from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
 from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.kalman import Belief, Innovation
 from sinsjax.methods.method import AttitudeCovariance
-from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.strapdown.mechanisation import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
 from sinsjax.units import DEG
 

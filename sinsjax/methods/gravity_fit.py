@@ -2,8 +2,9 @@
 
 The samples of a block of about a second are summed in the body frame at its start. At a record
 time the rotation and the velocity increment of the block are stored, 136 bytes per second of a run,
-and when a fit is due all blocks so far are fitted, see `fit`: after 4, 8, 16, ... blocks, at
-reported times and at the end. In between the gyros carry the attitude, without the biases found.
+and when a fit is due all blocks so far are fitted, see `gravity_least_squares`: after 4, 8, 16, ...
+blocks, at reported times and at the end. In between the gyros carry the attitude, without the
+biases found.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,16 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
 from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
-from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
-from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
+from sinsjax.methods.gravity_least_squares import (
+    NUMBERS,
+    Block,
+    Drift,
+    FitParams,
+    SensorNoise,
+    Solution,
+    combine,
+    solve,
+)
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.units import DEG_PER_H, si_factor
 from sinsjax.value_types import (
@@ -58,7 +67,7 @@ class FitState(NamedTuple):
     rate: Vec3
     earth: Vec3  # rotation rate of the Earth in n, rad/s
     count: Scalar  # samples so far
-    blocks: Array  # (most, `NUMBERS`) ended blocks, each a `fit.Block`
+    blocks: Array  # (most, `NUMBERS`) ended blocks, each a `Block`
     solution: Solution  # of the last fit, carried to the beginning of the block
 
 
@@ -317,7 +326,7 @@ GRAVITY_FIT = method.Method(
     name="gravity_fit",
     summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
     " that is turned",
-    source="`methods.gravity_fit.fit`",
+    source="`methods.gravity_least_squares`",
     sections={"gravity_fit": GravityFitSection},
     build=build,
     params=params,
