@@ -366,7 +366,7 @@ class Chunks:
 
     def compute(self, number: int) -> Chunk:
         """Compute a chunk, on the device of the calling thread."""
-        home = _thread.number % len(self._programs)
+        home = getattr(_thread, "number", 0) % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
         tiles = self.layout.tiles_of(self._batch, number)
         blocks = np.int32(self.layout.blocks(number))
@@ -385,13 +385,8 @@ class Chunks:
         )
 
 
-class _Thread(threading.local):
-    """Number of a thread of `map_in_threads`; 0 in all other threads."""
-
-    number = 0
-
-
-_thread = _Thread()
+_thread = threading.local()
+"""Its ``number`` is that of a thread of `map_in_threads`; others have none, and count as 0."""
 
 
 def map_in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
@@ -426,10 +421,6 @@ class DuplicateVariants(NamedTuple):
     computed: np.ndarray
     variants: np.ndarray
     counts: np.ndarray
-
-    def count_runs(self, computed: np.ndarray) -> int:
-        """Return the number of runs whose results are those of runs of some computed variants."""
-        return int(self.counts[computed].sum())
 
     def expand(self, chunk: Chunk) -> Chunk:
         """Return the results of all variants from those computed, by draw and variant."""

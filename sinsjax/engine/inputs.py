@@ -305,8 +305,7 @@ def align_by_program(program: Program, samples: Sample, site: Site) -> Quat:
     return program.attitude(program.normalise(state))
 
 
-_increments = jax.jit(base_motion.ideal_increments, static_argnums=3)
-_increments_and_axes = jax.jit(base_motion.ideal_increments_and_axes, static_argnums=3)
+_increments = jax.jit(base_motion.ideal_increments, static_argnames=("samples", "with_axes"))
 
 
 @jax.jit
@@ -328,10 +327,10 @@ def true_increments(
     The axes of n in b are means over each sample. If blank, all are zero, enough to compile.
     """
     increments = np.zeros((samples, 15 if axes else 6))
-    integrate = _increments_and_axes if axes else _increments
     for first in range(0, 0 if blank else samples, _SAMPLES):
         block = increments[first : first + _SAMPLES]
-        block[:] = integrate(motion, place, rate_hz, _SAMPLES, float(first))[: len(block)]
+        made = _increments(motion, place, rate_hz, _SAMPLES, float(first), with_axes=axes)
+        block[:] = made[: len(block)]
     return increments
 
 

@@ -59,7 +59,7 @@ from sinsjax.study.success import settling_bands
 from sinsjax.study.sweep_columns import CodedColumn
 from sinsjax.study.turns import data_end_s, turns_in_samples
 from sinsjax.study.variants import Lookup, Variants
-from sinsjax.types import Array, Quat, Vec3
+from sinsjax.types import Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
@@ -121,7 +121,7 @@ class Scenario:
             raise InputError(f"{study.name}: the study {text}: see [record]")
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
-        self.variant_ids = list(_split(study))
+        self.variant_ids = list(_iter_program_variants(study))
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""
@@ -181,7 +181,7 @@ class Scenario:
         return Batch(self.specs[number], environment, drawn, params, keys.ids)
 
 
-def _split(study: Study) -> Iterator[np.ndarray]:
+def _iter_program_variants(study: Study) -> Iterator[np.ndarray]:
     """Yield the numbers of variants that share program and environment, by first appearance."""
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
@@ -196,7 +196,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
 # The program
 
 
-def _span(study: Study, keys: Variants) -> Span:
+def _run_span(study: Study, keys: Variants) -> Span:
     return study.span(**{key: keys.common(key) for key in PASS_KEYS} if study.passes else {})
 
 
@@ -207,7 +207,7 @@ def _samples_read(study: Study) -> int:
 
 def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     """Return the program of some variants."""
-    simulated, span, method = not study.is_recorded, _span(study, keys), keys.common("method")
+    simulated, span, method = not study.is_recorded, _run_span(study, keys), keys.common("method")
     blocks = (0, 0)
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
@@ -229,7 +229,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
         curves,
         noisy=simulated and keys.is_active(*keys_acting_as("noise")),
         distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
-        sways=simulated and _moves(keys),
+        sways=simulated and _base_rotates(keys),
         kept=_samples_read(study) if keeps else 0,
         reverses=reverses,
         coarse=_coarse_stage(study, keys),
@@ -318,7 +318,7 @@ def _simulated_inputs(
     study: Study, keys: Variants, draws: range, *, blank: bool
 ) -> tuple[Environment, Draw]:
     """Return the environment and the draws of a simulation; a blank one has zeros for the truth."""
-    place, span, rate_hz = keys.site.place, _span(study, keys), study.rate_hz
+    place, span, rate_hz = keys.site.place, _run_span(study, keys), study.rate_hz
     nominal = _base_and_sensors(keys)
     errors, motion, disturbances = nominal
     times = np.concatenate([[0.0], study.stored_times(span)])
@@ -404,7 +404,7 @@ def _recorded_inputs(
 
     If coarse alignment is a stage of the runs, their attitude is unknown.
     """
-    record, rate, span = stored.record, study.rate_hz, _span(study, keys)
+    record, rate, span = stored.record, study.rate_hz, _run_span(study, keys)
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
@@ -479,7 +479,7 @@ def read_sways(common: Lookup) -> Motion:
     return Motion(sway("pitch"), sway("roll"), sway("yaw"))
 
 
-def _moves(keys: Variants) -> bool:
+def _base_rotates(keys: Variants) -> bool:
     """Return whether the base sways or is turned."""
     given = any(keys.common(key) for key in ("turn_times_s", "attitude_file"))
     return given or keys.is_active(*keys_acting_as("sway"))
@@ -490,7 +490,7 @@ def read_motion(keys: Variants) -> Motion:
     motion = add_turns(read_sways(keys.common), keys)
     if (given := read_attitude(keys.study)) is not None:
         motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
-    rotates = _moves(keys) or keys.is_active("vibration_deg_per_h_rms")
+    rotates = _base_rotates(keys) or keys.is_active("vibration_deg_per_h_rms")
     if rotates and keys.is_active("lever_arm_m"):
         arm = np.moveaxis(_read_vector(keys.common, keys.micro_g, "lever_arm_m"), -1, 0)
         motion = motion._replace(lever=Vec3(*arm))
@@ -599,14 +599,12 @@ def _run_params(study: Study, keys: Variants) -> RunParams:
     )
 
 
+_euler_vectors = jax.jit(jax.vmap(euler_vector))
+
+
 def _rotation_vectors(starts: CodedColumn) -> Vec3:
     """Return rotation vectors of initial misalignments given in degrees, leaves (variants,)."""
     angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
     euler = np.asarray([values[0] == "euler" for values in starts.choices])
     vectors = np.where(euler, np.stack(_euler_vectors(*angles)), angles)
     return Vec3(*vectors[:, starts.codes])
-
-
-@jax.jit
-def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
-    return jax.vmap(euler_vector)(e, n, u)

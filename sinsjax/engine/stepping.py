@@ -65,7 +65,7 @@ def site_of_pass(site: Site, backward: Flag | None) -> Site:
     return site._replace(earth=reversed_, place=earth.reverse_rotation(site.place, sign))
 
 
-def compensate(now: Increments, before: Increments, backward: Flag | None) -> Sample:
+def compensate_in_pass(now: Increments, before: Increments, backward: Flag | None) -> Sample:
     """Return the compensated sample in the direction of the pass: ``now``, backward ``before``."""
     if backward is None:
         return sensors.compensate_sample(now, before)
@@ -140,11 +140,11 @@ def take_samples(
     """
     next_event = steps.next_event and steps.next_event(state, jnp.asarray(0))
     if by_event and next_event is not None:
-        return event_by_event(steps, state, sensor_state, blocks)
-    return sample_by_sample(steps, state, sensor_state, blocks)
+        return step_event_by_event(steps, state, sensor_state, blocks)
+    return step_sample_by_sample(steps, state, sensor_state, blocks)
 
 
-def sample_by_sample(
+def step_sample_by_sample(
     steps: Steps, state: Any, sensor_state: Any, blocks: Blocks
 ) -> tuple[Any, Any]:
     """Close after every sample; arguments as of `take_samples`."""
@@ -163,7 +163,9 @@ def sample_by_sample(
     return jax.lax.scan(over_block, (state, sensor_state), numbers)[0]
 
 
-def event_by_event(steps: Steps, state: Any, sensor_state: Any, blocks: Blocks) -> tuple[Any, Any]:
+def step_event_by_event(
+    steps: Steps, state: Any, sensor_state: Any, blocks: Blocks
+) -> tuple[Any, Any]:
     """Close at events and at the end of the interval; arguments as of `take_samples`."""
     count, size, make = blocks
     next_event, triggered = steps.next_event, steps.triggered

@@ -179,7 +179,7 @@ class TaskRunner:
         layout = Layout(spec, len(draws), len(ids), tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
-            runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
+            runs = len(variant) if duplicates is None else int(duplicates.counts[variant].sum())
             rows = tuple(
                 (name, runs * (spec.intervals if name == "curves" else 1)) for name in self.schemas
             )

@@ -58,13 +58,6 @@ def triangle_index(n: int) -> dict[tuple[int, int], int]:
     return {entry: k for k, (i, j) in enumerate(upper) for entry in ((i, j), (j, i))}
 
 
-def diagonal_triangle(diagonal: Sequence[Scalar]) -> Triangle:
-    """Return a diagonal matrix as a `Triangle`."""
-    n = len(diagonal)
-    zero = 0.0 * diagonal[0]
-    return tuple(diagonal[i] if i == j else zero for i in range(n) for j in range(i, n))
-
-
 def times_plus_identity(entries: Entries, x: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """Return (I + A) x for the non-zero ``entries`` of A; float zeros are skipped."""
     out = list(x)

@@ -11,8 +11,6 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.types import Quat, Scalar, Vec3
 
-_TERMS = 8
-_TERMS_OF_A_SAMPLE = 4
 _ARCSINE = ((1, 1), (1, 6), (3, 40), (5, 112), (35, 1152), (63, 2816), (231, 13312))
 """Coefficients of arcsin(s)/s in powers of s^2."""
 
@@ -66,7 +64,7 @@ def exp(phi: Vec3) -> Quat:
     A power series in a quarter of the half angle, doubled twice: without calls of sin, cos or sqrt
     it is vectorised inside a scan, and it is smooth at zero.
     """
-    return _exp(phi, _TERMS)
+    return _exp_by_series(phi, terms=8)
 
 
 def exp_of_sample(phi: Vec3) -> Quat:
@@ -75,10 +73,10 @@ def exp_of_sample(phi: Vec3) -> Quat:
     Accurate to rounding for |phi| <= 0.6 rad, to 1e-10 rad up to 2 rad: far below what coning
     compensation leaves of such a turn.
     """
-    return _exp(phi, _TERMS_OF_A_SAMPLE)
+    return _exp_by_series(phi, terms=4)
 
 
-def _exp(phi: Vec3, terms: int) -> Quat:
+def _exp_by_series(phi: Vec3, terms: int) -> Quat:
     s = scale(0.125, phi)
     g = -dot(s, s)
     cos, sinc = 1 / math.factorial(2 * terms), 1 / math.factorial(2 * terms + 1)

@@ -102,8 +102,8 @@ def build(options: method.Options) -> method.Program:
         block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
         place = jnp.minimum(number // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
-        errors = block.by_gyro_errors(len(solution.gyro), length_s)
-        corrected = block.without(combine(errors, solution.gyro))
+        errors = block.rotations_by_gyro_errors(len(solution.gyro), length_s)
+        corrected = block.turn_without(combine(errors, solution.gyro))
         zero = jnp.zeros_like(state.count)
         begun = (
             Quat(zero + 1, zero, zero, zero),
@@ -262,45 +262,37 @@ def _column(name: str, meaning: str, read: Callable[[Solution], Any]) -> method.
     )
 
 
-def _bias_deg_per_h(axis: int, found: Solution) -> Any:
-    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
-
-
-def _bias_sigma_deg_per_h(axis: int, found: Solution) -> Any:
-    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
-
+_DOUBTS = {
+    "misfit": "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3"
+    " is a doubt",
+    "prior_ratio": "largest sensor error or lever arm that the fit finds, over its 1 sigma in"
+    " [gravity_fit]; more than 3 is a doubt",
+    "change": "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a"
+    " doubt, the fit has not converged",
+}
 
 COLUMNS = (
-    _column(
-        "misfit",
-        "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
-        " doubt",
-        attrgetter("misfit"),
-    ),
-    _column(
-        "prior_ratio",
-        "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
-        " more than 3 is a doubt",
-        attrgetter("prior_ratio"),
-    ),
-    _column(
-        "change",
-        "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
-        " fit has not converged",
-        attrgetter("change"),
+    *(_column(name, meaning, attrgetter(name)) for name, meaning in _DOUBTS.items()),
+    *(
+        _column(
+            f"gyro_bias_{name}_deg_per_h",
+            f"gyro bias of the {name} axis by the fit",
+            lambda found, axis=axis: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
+        )
+        for axis, name in enumerate(("right", "front", "up"))
     ),
     *(
-        _column(f"gyro_bias_{name}{suffix}_deg_per_h", meaning.format(name), partial(read, axis))
-        for suffix, meaning, read in (
-            ("", "gyro bias of the {} axis by the fit", _bias_deg_per_h),
-            ("_sigma", "1 sigma of it", _bias_sigma_deg_per_h),
+        _column(
+            f"gyro_bias_{name}_sigma_deg_per_h",
+            "1 sigma of it",
+            lambda found, axis=axis: np.sqrt(found.gyro_bias_variance[axis]) / DEG_PER_H,
         )
         for axis, name in enumerate(("right", "front", "up"))
     ),
 )
 
 
-def _check(study: method.StudyKeys) -> None:
+def _check_beliefs(study: method.StudyKeys) -> None:
     """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
     required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
     simulated = (*_NOISE, *(key for noise in _NOISE.values() for key in noise.white))
@@ -332,7 +324,7 @@ GRAVITY_FIT = method.Method(
     params=params,
     needs_start=False,
     turning="any",
-    rules=(_check,),
+    rules=(_check_beliefs,),
     columns=COLUMNS,
     step_s=10e-9,
     compile_s=8.5,

@@ -247,7 +247,7 @@ class Block(NamedTuple):
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
-    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
+    def rotations_by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
         """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start.
 
         Each is a factor times the mean of an axis of b over the block: over the angle turned, by
@@ -261,7 +261,7 @@ class Block(NamedTuple):
         axes = [Vec3(*axis) for axis in zip(*mean, strict=True)]
         return [scale(factor, axis) for factor in (length_s, *self.angle)[:triads] for axis in axes]
 
-    def without(self, rotation: Vec3) -> Quat:
+    def turn_without(self, rotation: Vec3) -> Quat:
         """Return the rotation of the body less that by errors."""
         return rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.turn)
 
@@ -306,7 +306,7 @@ def solve(
     zero = jnp.zeros_like(first.x)
     solution = Solution.before_data(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
-    guess = _Guess(_level(first), (zero + 1, zero), *triads)
+    guess = _Guess(_level_attitude(first), (zero + 1, zero), *triads)
     model = noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
@@ -316,7 +316,8 @@ def solve(
 
     def over_pass(carry: tuple[Count, _Guess, Solution]) -> tuple[Count, _Guess, Solution]:
         number, guess, _ = carry
-        here = _Pass(place, model, guess, jnp.where(number == 0, zero, zero + 1), length_s)
+        is_known = jnp.where(number == 0, zero, zero + 1)
+        here = _GaussNewtonPass(place, model, guess, is_known, length_s)
         return number + 1, *here.run(params, blocks, count)
 
     return jax.lax.while_loop(is_unfinished, over_pass, (jnp.asarray(0), guess, solution))[2]
@@ -335,8 +336,8 @@ class _Guess(NamedTuple):
         """Return the unknowns from `GYRO` on."""
         return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
-    def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
-        """Return the guess with the changes that a pass finds; ``is_known`` as of `_Pass`."""
+    def corrected(self, unknown: Array, is_known: Scalar) -> "_Guess":
+        """Return the guess with the changes that a pass finds; ``is_known`` is that of the pass."""
         real, imaginary, kx, ky, *errors = unknown
         real, (cos, sin) = is_known + real, self.heading
         cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
@@ -347,7 +348,7 @@ class _Guess(NamedTuple):
         return _Guess(level, (cos / norm, sin / norm), *jax.tree.unflatten(structure, later))
 
 
-class _Sums(NamedTuple):
+class _PassSums(NamedTuple):
     """A pass up to a block; complex numbers stand for the level axes of l."""
 
     body: Quat  # C_b^l at the end of the block
@@ -361,7 +362,7 @@ class _Sums(NamedTuple):
     normal: tuple[Array, ...]
 
 
-class _Pass(NamedTuple):
+class _GaussNewtonPass(NamedTuple):
     """A pass over the blocks; ``is_known`` is 0 in the first, where c is a free number, else 1."""
 
     place: Place
@@ -373,7 +374,7 @@ class _Pass(NamedTuple):
     def run(self, params: FitParams, blocks: Array, count: Count) -> tuple[_Guess, Solution]:
         """Return the next guess and the solution."""
 
-        def over_block(j: Count, sums: _Sums) -> _Sums:
+        def over_block(j: Count, sums: _PassSums) -> _PassSums:
             row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
             return self.add_block(sums, Block.of_row(row), j)
 
@@ -381,10 +382,10 @@ class _Pass(NamedTuple):
         amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
         sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
         prior = jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
-        unknown, covariance, square, change = _solve_normal(end.normal, self.guess, prior)
-        later = self.guess.changed(unknown, self.is_known)
+        unknown, covariance, square, change = _solve_normal_equations(end.normal, self.guess, prior)
+        later = self.guess.corrected(unknown, self.is_known)
 
-        rotation, in_l = _end_error(end, unknown, covariance)
+        rotation, in_l = _final_attitude_error(end, unknown, covariance)
         ratio = jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
         data_s = jnp.asarray(count, square.dtype) * self.length_s
         level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
@@ -402,12 +403,12 @@ class _Pass(NamedTuple):
             change=change,
         )
 
-    def start(self) -> _Sums:
+    def start(self) -> _PassSums:
         """Return the sums before the first block."""
         zero = jnp.zeros_like(self.is_known)
         none = Vec3(zero, zero, zero)
         n = GYRO + 3 * (len(self.guess.gyro) + len(self.guess.others))
-        return _Sums(
+        return _PassSums(
             self.guess.level,
             (none,) * (3 * len(self.guess.gyro)),
             (none,) * (3 * len(self.guess.others[1:])),
@@ -426,16 +427,16 @@ class _Pass(NamedTuple):
         real, imaginary = self.guess.heading
         return real * east - imaginary * north, imaginary * east + real * north, 1 - cos**2 * versed
 
-    def add_block(self, sums: _Sums, block: Block, number: Count) -> _Sums:
+    def add_block(self, sums: _PassSums, block: Block, number: Count) -> _PassSums:
         """Return the sums with one more block."""
         guess, h = self.guess, self.length_s
         accel_bias, *lever = guess.others
-        errors = block.by_gyro_errors(len(guess.gyro), h)
+        errors = block.rotations_by_gyro_errors(len(guess.gyro), h)
         estimate = combine(errors, guess.gyro)
         dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
         dv = add(dv, scale(-1.0, combine(errors[:3], (accel_bias,))))
         measured = rotations.rotate(sums.body, dv)
-        body = rotations.multiply(sums.body, block.without(estimate))
+        body = rotations.multiply(sums.body, block.turn_without(estimate))
 
         gx, gy, up = self.gravity_turn(number)
         gh, zero = self.place.gravity * h, jnp.zeros_like(up)
@@ -478,7 +479,7 @@ class _Pass(NamedTuple):
             for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
         turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
-        return _Sums(body, turned, swung, walk, variance, normal)
+        return _PassSums(body, turned, swung, walk, variance, normal)
 
 
 def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
@@ -486,7 +487,7 @@ def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
     return reduce(add, map(scale, jax.tree.leaves(factors), vectors))
 
 
-def _solve_normal(
+def _solve_normal_equations(
     normal: tuple[Array, ...], guess: _Guess, sigmas: Array
 ) -> tuple[Array, Array, Scalar, Scalar]:
     """Return the changes of the unknowns, their covariance, the sum of squared residuals.
@@ -513,7 +514,7 @@ def _solve_normal(
     return unknown, covariance, whole[n, n] - unknown @ right, length
 
 
-def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
+def _final_attitude_error(end: _PassSums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
     """Return the rotation in l by which the carried attitude is off, and the error's covariance.
 
     That of the noise which nothing shows is left out.
@@ -530,7 +531,7 @@ def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Arr
     return Vec3(*rotation), with_heading @ covariance @ with_heading.T
 
 
-def _level(force: Vec3) -> Quat:
+def _level_attitude(force: Vec3) -> Quat:
     """Return the least rotation that turns a specific force upwards."""
     length = jnp.sqrt(dot(force, force))
     x, y, w = force.x / length, force.y / length, 1 + force.z / length

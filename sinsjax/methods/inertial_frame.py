@@ -146,7 +146,7 @@ def triad_attitude(body: Array, n: Array) -> Quat:
     Lengths do not matter. The row of q q' with the largest diagonal element gives q without
     cancellation at any attitude.
     """
-    c = _triad(n) @ _triad(body).T
+    c = _orthonormal_axes(n) @ _orthonormal_axes(body).T
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = c
     outer = jnp.array(
         [
@@ -160,7 +160,7 @@ def triad_attitude(body: Array, n: Array) -> Quat:
     return Quat(*row / jnp.sqrt(row @ row))
 
 
-def _triad(vectors: Array) -> Array:
+def _orthonormal_axes(vectors: Array) -> Array:
     """Return orthonormal axes as columns: along the first vector, normal to both, the third."""
     first = vectors[0] / jnp.sqrt(vectors[0] @ vectors[0])
     normal = jnp.cross(first, vectors[1])
@@ -330,9 +330,9 @@ def _ldl_solver(m: _Vector) -> Callable[[_Vector], _Vector]:
     return solve
 
 
-_method = partial(Method, needs_start=False, turning="many")
+_inertial_method = partial(Method, needs_start=False, turning="many")
 
-OPTIMISATION = _method(
+OPTIMISATION = _inertial_method(
     name="optimisation",
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
@@ -341,7 +341,7 @@ OPTIMISATION = _method(
     compile_s=3.0,
 )
 
-OPTIMISATION_POSITION = _method(
+OPTIMISATION_POSITION = _inertial_method(
     name="optimisation_position",
     summary="the same of integrated positions, from an unknown velocity: for a base that surges",
     source="`methods.inertial_frame`",
@@ -350,7 +350,7 @@ OPTIMISATION_POSITION = _method(
     compile_s=3.0,
 )
 
-INERTIAL = _method(
+INERTIAL = _inertial_method(
     name="inertial",
     summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see `methods.inertial_frame`",

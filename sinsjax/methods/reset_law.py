@@ -71,7 +71,8 @@ _SURGE_SIGMA = 2 * DEG
 `docs/studies/reset_law/reset_surge.toml` with seeds 47 and 48."""
 
 _SECOND_SEGMENT = 2.5
-"""Length of the first of these two segments, in ell; with 2.1 cell L5 is as soon."""
+"""Length of the first of these two segments, in `ResetProblem.heading_time`; with 2.1 cell L5 is as
+soon."""
 
 _MOST_SEGMENTS = 4
 _MIN_GAIN = 0.02  # of the time, for one more segment
@@ -101,7 +102,7 @@ class ResetProblem(NamedTuple):
         return math.sqrt(self.measurement_noise / self.velocity_noise)
 
     @property
-    def ell(self) -> float:
+    def heading_time(self) -> float:
         """Time after which the heading information is that of the reset, J = 1/s0^2, s."""
 
         def is_early(time_s: float) -> bool:
@@ -181,7 +182,7 @@ def schedule(
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
-    ratio = _find_ratio(problem, heading_bound, band)
+    ratio = _required_contraction(problem, heading_bound, band)
     found = _equal_segments(problem, ratio, band, 1)
     for count in range(2, _MOST_SEGMENTS + 1):
         more = _equal_segments(problem, ratio, band, count)
@@ -200,7 +201,7 @@ def schedule_with(
     With few resets early ones are left out; with many there are more segments, or more early ones.
     Arguments and errors are those of `schedule`.
     """
-    ratio, early_s = _find_ratio(problem, heading_bound, band), levelling_time(problem)
+    ratio, early_s = _required_contraction(problem, heading_bound, band), levelling_time(problem)
     found = {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
         segments = _equal_segments(problem, ratio, band, resets + 1 - early)
@@ -214,7 +215,7 @@ def schedule_with(
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
-def _find_ratio(problem: ResetProblem, heading_bound: float, band: float) -> float:
+def _required_contraction(problem: ResetProblem, heading_bound: float, band: float) -> float:
     """Check that the law has a schedule, and return 2 tan(phi0/2)."""
     if problem.velocity_noise <= 0:
         raise NoSchedule("with a Q of zero no reset ever pays (use 'none')")
@@ -240,7 +241,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
     """Return n - 1 equal segments and a last one that contract a ratio to a band in least time."""
     if n == 1:
         return (_last_segment(problem, ratio, band),)
-    lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
+    lengths_s = problem.heading_time * np.geomspace(1e-2, 1e2, 2000)
     rests = ratio / contraction(lengths_s, problem) ** (n - 1)
     place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
     return (*[lengths_s[place]] * (n - 1), _last_segment(problem, rests[place], band))
@@ -248,7 +249,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
 
 def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
     """Return two segments that settle a large heading error, though the sum favours one."""
-    first_s = _SECOND_SEGMENT * problem.ell
+    first_s = _SECOND_SEGMENT * problem.heading_time
     return first_s, _last_segment(problem, ratio / contraction(first_s, problem), band)
 
 
@@ -299,7 +300,7 @@ def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
 
 _MEDIAN_SIGMAS = 0.75  # 1 sigma by which noise narrows the band of a median run
 _GROWTH = 0.02  # length of a step, of the time since the last reset
-_LAG_STEP, _LAG_REACH = 0.5, 3.0  # no step is longer than tau/2 up to 3 ell, while P shrinks
+_LAG_STEP, _LAG_REACH = 0.5, 3.0  # no step is longer than tau/2 up to 3 heading times
 _MOST_STEPS = 5000  # of such steps in a run
 
 
@@ -371,7 +372,7 @@ def _iter_filter_steps(
     problem: ResetProblem, times_s: Sequence[float], run_s: float
 ) -> Iterator[_FilterStep]:
     """Yield steps that are short after each reset and grow, up to a feedback or a reset."""
-    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.ell
+    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.heading_time
     shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
     longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
     for begin, end in zip((0.0, *times_s), (*times_s, run_s), strict=True):

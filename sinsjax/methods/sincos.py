@@ -135,7 +135,7 @@ def _feed_back(state: FilterState, share: Scalar) -> FilterState:
     )
 
 
-def _direction(state: Any) -> Direction:
+def _azimuth_direction(state: Any) -> Direction:
     """Return sine and cosine of the azimuth by the estimate, normalised."""
     s, c = state.belief.x[SINE], 1 - state.belief.x[VERSINE]
     square = s * s + c * c
@@ -157,7 +157,7 @@ def _misalignment(state: FilterState) -> Vec3:
 
 
 def _attitude(state: FilterState) -> Quat:
-    x, d = state.belief.x, _direction(state)
+    x, d = state.belief.x, _azimuth_direction(state)
     correction = rotations.rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
     return rotations.multiply(correction, state.nav.q)
 
@@ -167,7 +167,7 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
 
     The variance of the heading is at most that of a heading anywhere on the circle.
     """
-    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
+    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _azimuth_direction(state)
 
     def entry(i: int, j: int) -> Scalar:
         return p[at[i, j]]
@@ -253,8 +253,7 @@ def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
     """Update with the velocity of the solution, which should be that of the base."""
     measured = state.nav.ve, state.nav.vn
     predicted = kalman.propagate(state.belief, _ADD_SURGE)
-    innovation = kalman.innovation(predicted, (VE, VN), measured, params.r)
-    updated = kalman.update(predicted, (VE, VN), measured, params.r)
+    updated, innovation = kalman.update(predicted, (VE, VN), measured, params.r)
     return state._replace(belief=kalman.propagate(updated, _SUBTRACT_SURGE)), innovation
 
 

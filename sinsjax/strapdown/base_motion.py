@@ -354,6 +354,8 @@ def ideal_increments(
 ) -> Array:
     """Ideal sensor increments of samples from ``first`` on, (samples, 6), see `ideal_sample`.
 
+    With axes they are followed by the `Axes` of n over each sample, (samples, 15).
+
     They are computed in two or more batches of equal size: a shorter last batch, or a single one
     whose loop the compiler removes, would give other bits.
     """
@@ -366,7 +368,3 @@ def ideal_increments(
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
     return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]
-
-
-ideal_increments_and_axes = partial(ideal_increments, with_axes=True)
-"""`ideal_increments` followed by the `Axes` of n over each sample, (samples, 15)."""

@@ -124,8 +124,7 @@ def misalignment_covariance(state: Any) -> AttitudeCovariance:
 def update_with_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
     """Update with the velocity, which should be zero: [P1] eqs (10)-(12)."""
     measured = state.nav.ve, state.nav.vn
-    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
-    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
+    belief, innovation = kalman.update(state.belief, (VE, VN), measured, params.r)
     return state._replace(belief=belief), innovation
 
 
@@ -215,7 +214,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
-        passes=Passes(loop.reverse, _begin_after),
+        passes=Passes(loop.reverse, _shift_counts),
     )
 
 
@@ -287,7 +286,8 @@ class _ClosedLoop(NamedTuple):
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
         closed = self.filter.feed_back(state, share)
-        effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
+        due = partial(schedules.interpolate, resets)  # else a reset that leaves P unchanged
+        effect = CovarianceReset(*map(due, params.resets.covariance_reset, UNCHANGED))
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
             belief=closed.belief._replace(p=p),
@@ -295,7 +295,7 @@ class _ClosedLoop(NamedTuple):
         )
         if self.trigger is not None:
             fed_back = scale(share, self.filter.misalignment(state))
-            closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
+            closed = triggers.update_after_feedback(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
@@ -306,7 +306,7 @@ class _ClosedLoop(NamedTuple):
         state = self.filter.reverse([kind.sign for kind in self.states], state)
         p = schedules.reset_covariance(params.reversal, state.belief.p, params.p0, self.heading)
         state = state._replace(belief=state.belief._replace(p=p))
-        return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
+        return triggers.restart_for_pass(self.trigger, state, self.filter.misalignment(state))
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
@@ -319,7 +319,7 @@ def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
     return schedules.next_due(state.feedback_at, params.resets, n)
 
 
-def _begin_after(state: Any, n: Scalar) -> Any:
+def _shift_counts(state: Any, n: Scalar) -> Any:
     state = state._replace(feedback_at=state.feedback_at + n)
     if state.trigger_state is None:
         return state
@@ -371,7 +371,7 @@ def filter_params(
 
     p0, after = variances("p0"), variances("reset")
     q_scale = keys.compute(lambda scale: 1.0 if scale is None else scale, "q_scale")
-    q = {noise: _process_noise(keys, noise) * q_scale for noise in (ACCEL_NOISE, GYRO_NOISE)}
+    q = {noise: _step_variance(keys, noise) * q_scale for noise in (ACCEL_NOISE, GYRO_NOISE)}
     reads_surge = keys.has("motion") and not models_surge
     of_r = keys_of(filter_keys.update_variance)[: None if reads_surge else 3]
     return FilterParams(
@@ -391,7 +391,7 @@ def filter_params(
     )
 
 
-def _process_noise(keys: StudyKeys, noise: ProcessNoise) -> Any:
+def _step_variance(keys: StudyKeys, noise: ProcessNoise) -> Any:
     """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
     readings = filter_keys.q_unit_factors(1 / keys.rate_hz)
     given = next((form for form in noise.forms if keys.common(form) is not None), None)
