@@ -118,7 +118,9 @@ def advance_interval(
         The tile after the interval, and if ``spec.curves`` the observations as rows, (fields,
         lanes).
     """
-    reading = runs.read(interval.number)
+    spec, environment = runs.one.spec, runs.one.environment
+    pass_intervals = environment.pass_intervals if spec.reverses else None
+    reading = stepping.read_interval(interval.number, pass_intervals, spec.interval_samples)
     state, sensor_state = take_samples(
         runs.steps(reading, interval.number),
         runs.begin_pass(tile.run.state, reading),
@@ -299,11 +301,6 @@ class TileRuns(NamedTuple):
         """Return the runs before their first sample."""
         start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.sensors.draws.run_axis))
         return start(self.params, self.site, self.q)
-
-    def read(self, number: Count) -> PassReading:
-        """Return the samples that an interval reads."""
-        pass_intervals = self.one.environment.pass_intervals if self.one.spec.reverses else None
-        return stepping.read_interval(number, pass_intervals, self.one.spec.interval_samples)
 
     def begin_pass(self, state: Any, reading: PassReading) -> Any:
         """Return the states of the method as an interval begins, which may open a pass."""
