@@ -28,9 +28,9 @@ class Innovation(NamedTuple):
 
 def initial_belief(variances: Sequence[Scalar]) -> Belief:
     """Return zero means with a diagonal covariance."""
-    n, zero = len(variances), 0.0 * variances[0]
-    p = tuple(variances[i] if i == j else zero for i in range(n) for j in range(i, n))
-    return Belief(tuple(0.0 * v for v in variances), p)
+    x, n = tuple(0.0 * v for v in variances), len(variances)
+    zero = 0.0 * variances[0]
+    return Belief(x, tuple(variances[i] if i == j else zero for i in range(n) for j in range(i, n)))
 
 
 def propagate(belief: Belief, transition: Entries) -> Belief:
