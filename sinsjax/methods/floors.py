@@ -60,13 +60,14 @@ def mean_biases(errors: SensorErrors, motion: Motion) -> MeanBiases:
     exact but for periods in a small whole ratio. The biases are zero in n on a base that is turned,
     where no floor is known. Of NumPy arrays the result is NumPy, so that nothing is compiled.
     """
-    largest = abs(errors.accel_bias).max(-1)
     if motion.turns:
         zero = 0.0 * errors.gyro_bias[..., 0]
-        return MeanBiases(*(Vec3(zero, zero, zero),) * 2, largest)
+        none = Vec3(zero, zero, zero)
+        return MeanBiases(none, none, abs(errors.accel_bias).max(-1))
     mean_c_bn = mean_attitude(motion)
     in_n = [(mean_c_bn @ b[..., None])[..., 0] for b in (errors.gyro_bias, errors.accel_bias)]
-    return MeanBiases(*(Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n), largest)
+    eps, nabla = (Vec3(b[..., 0], b[..., 1], b[..., 2]) for b in in_n)
+    return MeanBiases(eps, nabla, abs(errors.accel_bias).max(-1))
 
 
 def mean_attitude(motion: Motion) -> Array:

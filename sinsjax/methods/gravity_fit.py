@@ -262,6 +262,14 @@ def _column(name: str, meaning: str, read: Callable[[Solution], Any]) -> method.
     )
 
 
+def _bias_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.asarray(found.gyro[0][axis]) / DEG_PER_H
+
+
+def _bias_sigma_deg_per_h(axis: int, found: Solution) -> Any:
+    return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
+
+
 _DOUBTS = {
     "misfit": "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3"
     " is a doubt",
@@ -274,18 +282,10 @@ _DOUBTS = {
 COLUMNS = (
     *(_column(name, meaning, attrgetter(name)) for name, meaning in _DOUBTS.items()),
     *(
-        _column(
-            f"gyro_bias_{name}_deg_per_h",
-            f"gyro bias of the {name} axis by the fit",
-            lambda found, axis=axis: np.asarray(found.gyro[0][axis]) / DEG_PER_H,
-        )
-        for axis, name in enumerate(("right", "front", "up"))
-    ),
-    *(
-        _column(
-            f"gyro_bias_{name}_sigma_deg_per_h",
-            "1 sigma of it",
-            lambda found, axis=axis: np.sqrt(found.gyro_bias_variance[axis]) / DEG_PER_H,
+        _column(f"gyro_bias_{name}{suffix}_deg_per_h", meaning.format(name), partial(read, axis))
+        for suffix, meaning, read in (
+            ("", "gyro bias of the {} axis by the fit", _bias_deg_per_h),
+            ("_sigma", "1 sigma of it", _bias_sigma_deg_per_h),
         )
         for axis, name in enumerate(("right", "front", "up"))
     ),
