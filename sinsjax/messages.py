@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from pydantic_core import ErrorDetails
 
@@ -45,6 +45,13 @@ def escape_controls(text: str, keep: str = "") -> str:
 def shorten(text: str, max_length: int = 200) -> str:
     """The text, truncated to ``max_length`` characters."""
     return text if len(text) <= max_length else f"{text[: max_length - 3]}..."
+
+
+def format_facts(title: str, facts: Mapping[str, str]) -> str:
+    """Return a title and facts, short texts by name: the display of an object, a line each."""
+    width = max(map(len, facts))
+    lines = (title, *(f"  {name:<{width}}  {fact}" for name, fact in facts.items()))
+    return "\n".join(shorten(escape_controls(line), 80) for line in lines)
 
 
 def format_count(number: int, noun: str) -> str:

@@ -28,8 +28,7 @@ from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
 from sinsjax.records import Record
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_study, study_to_toml
+from sinsjax.study.load import fingerprint, load_study, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.types import Quat
 from sinsjax.units import DEG

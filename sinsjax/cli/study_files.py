@@ -139,7 +139,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_study
-    from sinsjax.study.unused_keys import list_idle_keys
+    from sinsjax.study.rules import list_idle_keys
 
     runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes or ())

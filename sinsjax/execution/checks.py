@@ -17,11 +17,11 @@ from sinsjax.records.checks import StationaryValues, check_stationary, report_an
 from sinsjax.records.layout import Finding
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import COARSE_KEYS
+from sinsjax.study.motion import data_end_s
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
-from sinsjax.study.turns import data_end_s
-from sinsjax.study.variants import Variants
+from sinsjax.study.values import Variants
 from sinsjax.units import ARCMIN, DEG, micro_g
 
 _TRUST_HINT = "[record] trust = true aligns it anyway"

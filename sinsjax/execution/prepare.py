@@ -18,12 +18,11 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform import runtime
 from sinsjax.records import read_record, read_reference
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.files import source_name
 from sinsjax.study.load import load_study, with_rate
+from sinsjax.study.motion import read_attitude, useless_methods
+from sinsjax.study.rules import list_idle_keys
 from sinsjax.study.study import Study
-from sinsjax.study.turns import useless_methods
-from sinsjax.study.unused_keys import list_idle_keys
 
 MOST_CURVE_RUNS = 1024
 """Largest number of runs whose curves are all kept without being asked for."""

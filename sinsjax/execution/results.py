@@ -15,11 +15,9 @@ from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, Manifest, list_parts
-from sinsjax.messages import first_error_line, format_count, to_one_line
+from sinsjax.messages import first_error_line, format_count, format_facts, to_one_line
 from sinsjax.platform.files import read_regular_file
-from sinsjax.study import display
-from sinsjax.study.identity import describe_differences, fingerprint
-from sinsjax.study.load import load_study
+from sinsjax.study.load import describe_differences, fingerprint, load_study
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessMeasure, success_measures
 
@@ -190,7 +188,7 @@ class Results:
         facts["runs"] += f", {pc.sum(failed).as_py() or 0:,} diverged or not finite"
         time = "" if self.wall_s is None else f"in {self.wall_s:.3g} s, "
         facts["computed"] = f"{time}in {self.directory or 'memory'}"
-        return display.format_text(f"Results of {self.study.name}", facts)
+        return format_facts(f"Results of {self.study.name}", facts)
 
 
 def read_summary(

@@ -25,8 +25,13 @@ from sinsjax.messages import shorten
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
-from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json, with_draws
-from sinsjax.study.load import study_to_toml
+from sinsjax.study.load import (
+    describe_differences,
+    fingerprint,
+    sections_to_json,
+    study_to_toml,
+    with_draws,
+)
 
 _MANIFEST_EVERY_S = 1.0
 

@@ -11,12 +11,11 @@ from sinsjax.engine.scenario import earth_rate
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
-from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessCriteria, settling_bands, success_criteria
-from sinsjax.study.variants import Variants
+from sinsjax.study.values import Variants, drawn_values
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 FLOOR, TRUTH = 0, 1
@@ -124,7 +123,7 @@ def has_floor(
     if study.is_recorded:
         return np.ones(len(variant_ids), bool)
     first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
-    drawn = sampling.drawn_values(study, last + 1 - first, first=first)
+    drawn = drawn_values(study, last + 1 - first, first=first)
     keys = Variants(study, variant_ids)
 
     def number(key: str) -> np.ndarray:

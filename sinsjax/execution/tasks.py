@@ -28,7 +28,7 @@ from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.success import require_floor
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import fingerprint, with_draws
+from sinsjax.study.load import fingerprint, with_draws
 from sinsjax.study.study import Study
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn

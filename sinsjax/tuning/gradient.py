@@ -36,9 +36,8 @@ from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
-from sinsjax.study.sweep import COUNT, TIMES
-from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.variants import Variants
+from sinsjax.study.sweep import COUNT, TIMES, CodedColumn
+from sinsjax.study.values import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
 from sinsjax.tuning.law_point import law_point

@@ -12,11 +12,10 @@ from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
-from sinsjax.study import display
+from sinsjax.messages import format_facts
 from sinsjax.study.changes import copy_tables
-from sinsjax.study.identity import fingerprint
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import load_study
+from sinsjax.study.load import fingerprint, load_study
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
@@ -125,7 +124,7 @@ class TuningResults:
             "score": f"{score}; baseline {baseline}",
             "stored": f"in {self.directory}",
         }
-        return display.format_text(f"Tuning of {self.search_study.name}", facts)
+        return format_facts(f"Tuning of {self.search_study.name}", facts)
 
     # --- for reports ----------------------------------------------------------------------------
 

@@ -22,8 +22,7 @@ from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import unwritable_message, write_file
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import describe_differences, fingerprint
-from sinsjax.study.load import study_to_toml, with_point
+from sinsjax.study.load import describe_differences, fingerprint, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search

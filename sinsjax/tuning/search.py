@@ -21,13 +21,14 @@ from sinsjax.execution import results
 from sinsjax.execution.prepare import make_subjob
 from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
-from sinsjax.study import sampling, search_space
+from sinsjax.study import search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, with_point
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import Sweep
+from sinsjax.study.values import truncate_drawn_table
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
 from sinsjax.tuning.law_point import law_point
@@ -224,7 +225,7 @@ def derive_study(
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = sampling.truncate_drawn_table(study.drawn, count)
+        tables["drawn"] = truncate_drawn_table(study.drawn, count)
     cases = Sweep(cases=study.cases).dimensions[0] if study.cases else {}
     if axis := {key: values for key, values in cases.items() if key != "case"}:
         zipped = "cases"  # without their labels, which are now those of the points

@@ -12,8 +12,8 @@ from support.turning_logs import DEG, DEG_PER_H
 import sinsjax as package
 from sinsjax import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.turns import useless_methods
+from sinsjax.study.load import fingerprint
+from sinsjax.study.motion import useless_methods
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
