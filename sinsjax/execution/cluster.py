@@ -23,7 +23,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.messages import first_error_line
 from sinsjax.methods.registry import packages_of
-from sinsjax.platform import runtime, xla
+from sinsjax.platform import machine, runtime
 
 CONNECT_TIMEOUT_S = 10.0
 """Time allowed for a scheduler to answer, s."""
@@ -186,7 +186,7 @@ _prepare_lock = threading.Lock()
 
 def _describe_process() -> dict[str, str]:
     """Return the versions and the instruction set of this process."""
-    return runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
+    return runtime.relevant_versions() | {_INSTRUCTIONS: machine.instruction_set()}
 
 
 def run_task_on_worker(
