@@ -22,7 +22,7 @@ def configure(devices: int | None = None) -> None:
     """Set double precision, the number of CPU devices and the compiler options of this process.
 
     Every command calls it, and so does every function that computes if it was not called before,
-    see `ensure_configured`. Devices and compiler options (`xla`) can be set only until JAX starts,
+    see `ensure_configured`. Devices and compiler options can be set only until JAX starts,
     which it does at its first computation. Programs that take long to compile are cached for later
     processes, see `enable_cache`.
 

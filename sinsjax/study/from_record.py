@@ -19,12 +19,14 @@ from sinsjax.messages import CONTROL, escape_controls, explain_error, suggest_cl
 from sinsjax.records import read_record
 from sinsjax.records.checks import (
     ACCEL_BIAS_UG,
+    EARTH_RATE,
     StationaryValues,
     check_stationary,
+    measure_motion,
     report_anomalies,
+    white_noise,
 )
 from sinsjax.records.layout import Record, RecordLayout, find_spans
-from sinsjax.records.motion import EARTH_RATE, measure_motion, white_noise
 from sinsjax.records.propose import Proposal, propose_layout
 from sinsjax.records.reader import open_log
 from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
