@@ -216,7 +216,7 @@ def rerun(
 
     Example: sinsjax rerun out --run-id 17
     """
-    from sinsjax.execution import rerun as rerunning
+    from sinsjax.execution.run import rerun_stored_run
     from sinsjax.tuning import history
 
     runtime.configure()
@@ -227,7 +227,7 @@ def rerun(
         )
     runtime.start_backend()
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
+    if not rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 

@@ -13,8 +13,7 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, Manifest, list_parts
+from sinsjax.execution.directory import STUDY, Manifest, is_intact, list_parts
 from sinsjax.messages import first_error_line, format_count, format_facts, to_one_line
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study.load import describe_differences, fingerprint, load_study
@@ -297,7 +296,7 @@ class StoredParts:
 
 def read_part_metadata(content: bytes) -> dict[str, str] | None:
     """Return the metadata of a part's content, see `tasks.part_metadata`; None if it is damaged."""
-    if not sealed.is_intact(content):
+    if not is_intact(content):
         return None
     entries = pq.read_metadata(pa.BufferReader(content)).metadata or {}
     names = (STUDY_METADATA, CHUNK_METADATA)

@@ -17,9 +17,15 @@ import pyarrow.parquet as pq
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
-from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, Manifest
+from sinsjax.execution.directory import (
+    DATASETS,
+    MANIFEST,
+    STUDY,
+    Manifest,
+    to_sealed_json,
+    to_sealed_parquet,
+)
 from sinsjax.execution.results import read_part_metadata
-from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job, Task, TaskResult, part_metadata
 from sinsjax.messages import shorten
 from sinsjax.methods.registry import packages_of

@@ -1,11 +1,13 @@
 """Division of a study into tasks, whose results do not depend on machine or order.
 
 A task is one chunk of runs, computed by one call of the compiled program. The division depends only
-on the study, so a task can be repeated anywhere.
+on the study, so a task can be repeated anywhere. Interim analyses for ``[stop_when]`` occur at
+fixed numbers of draws and use all rows of those draws, so they do not depend on chunks either.
 """
 
 import hashlib
 import json
+import math
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,13 +25,15 @@ from sinsjax import columns
 from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
 from sinsjax.engine.duplicates import find_duplicates
 from sinsjax.engine.scenario import Scenario
-from sinsjax.execution import results, sealed, stopping
+from sinsjax.execution.directory import to_sealed_parquet
 from sinsjax.execution.forecast import Forecast
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
 from sinsjax.execution.success import require_floor
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import fingerprint, with_draws
 from sinsjax.study.study import Study
+from sinsjax.study.success import settling_bands, success_criteria
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
 _CACHED_CHUNKS = 3  # each has its own increments; threads may work on two programs
@@ -127,7 +131,7 @@ def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str
     chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": job.chunk_runs}
     if before := [end for end in job.extended_at if end <= task.draws[0]]:
         chunk["extended_at"] = before
-    return {results.STUDY_METADATA: identity, results.CHUNK_METADATA: json.dumps(chunk)}
+    return {STUDY_METADATA: identity, CHUNK_METADATA: json.dumps(chunk)}
 
 
 class TaskRunner:
@@ -157,7 +161,7 @@ class TaskRunner:
     @property
     def stages(self) -> list[range]:
         """Ranges of draws up to each interim analysis and extension, with independent tasks."""
-        ends = sorted({*stopping.interim_draws(self.job.study), *self.job.extended_at})
+        ends = sorted({*interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
     def plan_tasks(self) -> list[list[Task]]:
@@ -206,7 +210,7 @@ class TaskRunner:
         if self.job.directory is not None:
             for name, table in content.items():
                 metadata = part_metadata(self.job, self.identity, name, task)
-                content[name] = sealed.to_sealed_parquet(table, metadata)
+                content[name] = to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
     def compile(self, tasks: Iterable[Task], on_compiled: Callable[[Future], None]) -> None:
@@ -258,3 +262,54 @@ def local_executor() -> Executor:
         {"devices": devices},
         local=True,
     )
+
+
+FIRST_INTERIM = 64
+"""Draws at the first interim analysis; each further one doubles them."""
+
+
+def interim_draws(study: Study) -> list[int]:
+    """Return the numbers of draws at the interim analyses; the last is the maximum."""
+    ends = [FIRST_INTERIM if study.stop_when else study.n_draws]
+    while ends[-1] < study.n_draws:
+        ends.append(2 * ends[-1])
+    return [*ends[:-1], study.n_draws]
+
+
+def interim_columns(study: Study) -> list[str]:
+    """Return the columns of the summary that an interim analysis needs, that of its value last."""
+    assert study.stop_when is not None
+    name = study.stop_when.statistic
+    if name == "success_rate":
+        return ["run_id", "draw_id", "variant_id", "status"]
+    truth = success_criteria(study).from_truth
+    bands = {
+        f"{columns.settle_column(band).name}_mean": columns.settle_column(band, truth=truth).name
+        for band in settling_bands(study)
+    }
+    return ["run_id", "draw_id", "variant_id", bands[name]]
+
+
+def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
+    """Return the largest half width over the variants of the statistic's 95 % interval.
+
+    It is infinite if a variant has too few settled runs for an interval.
+
+    Args:
+        study: study with [stop_when].
+        table: `interim_columns` of the summary in any order, with all runs of the first draws.
+        draws: number of draws to analyse.
+    """
+    # Late: scipy takes a quarter of a second, and few studies need it.
+    from sinsjax import analysis
+
+    rows = table.filter(pc.less(table["draw_id"], draws)).sort_by("run_id")
+    column, widest = interim_columns(study)[-1], 0.0
+    for _, runs in analysis.group_rows(rows, ["variant_id"]):
+        if column == "status":
+            estimate = analysis.share(analysis.status_mask(runs, "ok"))
+        else:
+            estimate = analysis.mean(analysis.numeric_column(runs, column))
+        half = (estimate.high - estimate.low) / 2
+        widest = max(widest, math.inf if math.isnan(half) else half)
+    return widest

@@ -14,7 +14,7 @@ import pyarrow as pa
 from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
-from sinsjax.execution import sealed
+from sinsjax.execution.directory import DamagedError, read_sealed_parquet, to_sealed_parquet
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import write_file
 from sinsjax.study.keys import TomlTable, key_meaning
@@ -134,7 +134,7 @@ def write_history(directory: Path, study: Study, searches: Iterable[SearchResult
         for c in layout
     ]
     table = pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
-    content = sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)})
+    content = to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)})
     write_file(directory / FILE, content)
 
 
@@ -203,8 +203,8 @@ def load_tuned_study(directory: Path) -> Study:
 def _read_sealed(directory: Path) -> pa.Table:
     path = directory / FILE
     try:
-        return sealed.read_sealed_parquet(path)
+        return read_sealed_parquet(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except sealed.DamagedError as error:
-        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None
+    except DamagedError as error:
+        raise DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None

@@ -14,11 +14,10 @@ from sinsjax import gone
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
-from sinsjax.execution.directory import STUDY
+from sinsjax.execution.directory import STUDY, DamagedError
 from sinsjax.execution.prepare import finish_job, issue_warnings, load_job
 from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
-from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import unwritable_message, write_file
 from sinsjax.records.reference import StoredRecord

@@ -21,8 +21,8 @@ from support.sweep_directories import (
     read_parts,
 )
 
+from sinsjax.execution.directory import is_intact
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.execution.sealed import is_intact
 from sinsjax.platform import runtime
 from sinsjax.study.load import study_to_toml
 

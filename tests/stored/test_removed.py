@@ -9,7 +9,7 @@ from reading import HERE, TUNED
 import sinsjax
 from sinsjax import gone
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
+from sinsjax.execution.directory import read_sealed_parquet, to_sealed_parquet
 from sinsjax.execution.results import Results
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history
@@ -42,8 +42,8 @@ def test_tuning_by_a_removed_search_is_named_as_such(tuned: Path, search: str) -
     text = (tuned / "study.toml").read_text().replace('"sobol",', f'"{search}",')
     (tuned / "study.toml").write_text(text)
     mark = {history._STUDY_MARK: text}
-    rows = sealed.read_sealed_parquet(tuned / history.FILE)
-    (tuned / history.FILE).write_bytes(sealed.to_sealed_parquet(rows, mark))
+    rows = read_sealed_parquet(tuned / history.FILE)
+    (tuned / history.FILE).write_bytes(to_sealed_parquet(rows, mark))
     assert history.is_tuning(tuned)
     with pytest.raises(InputError, match=rf"searches\[0\]: '{search}' {gone.MARK}"):
         history.load_tuned_study(tuned)
