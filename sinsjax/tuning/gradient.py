@@ -40,8 +40,7 @@ from sinsjax.study.sweep import COUNT, TIMES, CodedColumn
 from sinsjax.study.values import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
-from sinsjax.tuning.law_point import law_point
-from sinsjax.tuning.search import GRADIENT
+from sinsjax.tuning.search import GRADIENT, law_point
 from sinsjax.types import Array, Count
 from sinsjax.units import DEG, micro_g
 

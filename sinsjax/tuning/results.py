@@ -22,8 +22,7 @@ from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import EVALUATION, TUNED, Evaluation
-from sinsjax.tuning.law_point import LAW
-from sinsjax.tuning.search import GRADIENT, require_tune
+from sinsjax.tuning.search import GRADIENT, LAW, require_tune
 
 SEARCH_LABELS = {
     "grid": "grid",

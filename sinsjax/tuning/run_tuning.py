@@ -26,9 +26,8 @@ from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import EVALUATION, TUNED, SearchResult
-from sinsjax.tuning.law_point import LAW, law_point
 from sinsjax.tuning.results import TuningResults
-from sinsjax.tuning.search import SearchSession, ShowProgress, require_tune
+from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, law_point, require_tune
 
 
 def tune(
