@@ -22,9 +22,8 @@ from sinsjax.cli.options import (
     Resume,
 )
 from sinsjax.cli.running import run_study
-from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.messages import escape_controls, to_one_line
+from sinsjax.messages import escape_controls, plain_console, print_line, to_one_line
 from sinsjax.platform import runtime
 
 RUN, LOOK, COMPARE, SET_UP = "Run", "Look", "Compare", "Set up"

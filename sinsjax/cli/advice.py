@@ -9,7 +9,7 @@ import typer
 
 from sinsjax.cli.options import Changes, completes
 from sinsjax.cli.study_files import require_new
-from sinsjax.console import plain_console, print_line
+from sinsjax.messages import plain_console, print_line
 from sinsjax.platform.files import write_file
 
 _WIDEST = 100

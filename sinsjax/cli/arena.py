@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from sinsjax.cli.options import Changes, Config, Out
-from sinsjax.console import plain_console, print_line, print_warning
+from sinsjax.messages import plain_console, print_line, print_warning
 
 
 def export(

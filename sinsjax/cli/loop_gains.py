@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sinsjax.console import plain_console
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console
 
 
 def gain_tables(

@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
-from sinsjax.console import plain_console, print_line, print_warning
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console, print_line, print_warning
 from sinsjax.platform import runtime
 
 _STOPPING = "Stopping after the running chunks (repeat to abandon them)."

@@ -10,8 +10,8 @@ import typer
 
 from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
-from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console, print_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import write_file
 

@@ -18,10 +18,9 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from sinsjax.console import print_warning
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
-from sinsjax.messages import first_error_line
+from sinsjax.messages import first_error_line, print_warning
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import machine, runtime
 

@@ -14,7 +14,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from rich.console import Console
 
-from sinsjax.console import print_line
 from sinsjax.engine.batch import Chunks
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError, StudyInterrupted
@@ -35,6 +34,7 @@ from sinsjax.execution.tasks import (
     local_executor,
     widest_half_width,
 )
+from sinsjax.messages import print_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import atomic_write, make_folder, write_file
 from sinsjax.records.reference import StoredRecord

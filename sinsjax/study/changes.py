@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
+from sinsjax.messages import print_warning
 from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
@@ -23,12 +24,7 @@ class SetOptions(dict[str, Any]):
     """The values of ``--set`` by place, whose user is told what else they drop."""
 
 
-@cache
-def _tell(line: str) -> None:
-    """Print a warning once: a command may read its study twice."""
-    from sinsjax.console import print_warning
-
-    print_warning(line)
+_print_warning_once = cache(print_warning)  # a command may read its study twice
 
 
 def parse_changes(texts: Iterable[str]) -> SetOptions:
@@ -65,7 +61,7 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     for place, value in changes.items():
         dropped = _change(result, place, copy_tables(value), places)
         if dropped and isinstance(changes, SetOptions):
-            _tell(f"--set {place} replaces {', '.join(dropped)}.")
+            _print_warning_once(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax import gone
+from sinsjax import messages
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.method import INITIAL_KEYS
@@ -111,9 +111,9 @@ class Key(NamedTuple):
 
 def unknown_key_error(key: str, known: Iterable[str]) -> str:
     """Return the error text of a key that is gone, in the wrong section, or unknown."""
-    for place, text in gone.KEYS.items():
+    for place, text in messages.GONE_KEYS.items():
         if place.partition(".")[2] == key:
-            return gone.LINE.format(text)
+            return messages.GONE_LINE.format(text)
     if key in SECTION_OF:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
     for names in (known, SECTION_OF):

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sinsjax import gone
+from sinsjax import messages
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
@@ -184,7 +184,7 @@ def _read_complete_searches(job: Job) -> list[SearchResult]:
     for result in known:
         if result.search not in tune.searches:
             raise InputError(
-                f"{directory}: has the search '{result.search}', which {gone.MARK}"
+                f"{directory}: has the search '{result.search}', which {messages.GONE_MARK}"
                 " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
             )
     return known
