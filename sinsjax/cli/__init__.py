@@ -1,4 +1,8 @@
-"""The command line: thin commands. A user's mistake is one line, and exit code 2."""
+"""The command line: thin commands over the package's functions.
+
+It takes arguments and options, and gives lines on a terminal and directories of results. A user's
+mistake is one line, and exit code 2.
+"""
 
 import gc
 import shlex

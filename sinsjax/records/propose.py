@@ -358,14 +358,15 @@ class _Clock(NamedTuple):
 def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) -> _Clock:
     """Return the first clock that names and steps of stamps tell, or one with a question."""
     kinds, given = table.kinds, answers.get("time_column")
+    dates = [name for name, kind in kinds.items() if kind == "dates with time"]
     names = [
         name for name, kind in kinds.items()
         if name == given or name and name not in taken
-        and (kind == "dates with time" or kind == "numbers" and _TIME_NAME.search(name))
+        and (name in dates or kind == "numbers" and _TIME_NAME.search(name))
     ]  # fmt: skip
-    columns = table.read(names, [name for name in names if kinds[name] == "dates with time"])
+    columns = table.read(names, dates)
     stamps = {n: s for n, s in zip(names, columns, strict=True) if np.isfinite(s).sum() > 1}
-    units = {n: "iso" if kinds[n] == "dates with time" else _unit_by_name(table, n) for n in stamps}
+    units = {n: "iso" if n in dates else _unit_by_name(table, n) for n in stamps}
     fractions = [
         name for name, unit in units.items()
         if unit in ("ms", "us", "ns") and np.nanmax(stamps[name]) * TIME_UNITS[unit] < 1

@@ -49,11 +49,7 @@ TANGENT_STEPS = 2
 
 
 def check_gradients(study: Study) -> None:
-    """Check that all variables of a study with [tune] have a gradient.
-
-    Raises:
-        InputError: ``[tune.variables] key: has no gradient (hint)``.
-    """
+    """Refuse a study with [tune] of which a variable has no gradient."""
     for combination in SearchSpace.from_study(study).combinations:
         TunedParams(study, combination)
 
@@ -207,11 +203,7 @@ class Slope:
         starts: int,
         draws: int,
     ) -> None:
-        """Prepare the runs of some descents, with at most so many draws per step.
-
-        Raises:
-            InputError: the record does not fit.
-        """
+        """Prepare the runs of some descents, with at most so many draws per step."""
         study = parameters.study
         self._tune = search.require_tune(study)
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
@@ -386,11 +378,7 @@ class TunedParams:
     """
 
     def __init__(self, study: Study, combination: TomlTable) -> None:
-        """Check that all variables of a combination of candidates have a gradient.
-
-        Raises:
-            InputError: ``[tune.variables] key: has no gradient (hint)``.
-        """
+        """Refuse a combination of candidates of which a variable has no gradient."""
         self.study, space = study, SearchSpace.from_study(study)
         self.variables = [space.variables[i] for i in space.used_variables(combination)]
         self.point = space.make_point(space.to_values([0.5] * len(space.variables)), combination)

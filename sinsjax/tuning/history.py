@@ -117,11 +117,7 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
 
 
 def write_history(directory: Path, study: Study, searches: Iterable[SearchResult]) -> None:
-    """Write the history of some searches atomically, sealed and with the study that they tune.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the history of some searches atomically, sealed and with the study that they tune."""
     space = SearchSpace.from_study(study)
     rows = [
         e._asdict() | {"search": result.search} | dict(zip(space.names, e.values, strict=True))
@@ -164,11 +160,7 @@ def read_history(directory: str | Path) -> pa.Table:
 
 
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
-    """Read the searches of a history, in their order.
-
-    Raises:
-        InputError: the history cannot be read.
-    """
+    """Read the searches of a history, in their order."""
     searches: dict[str, list[Evaluation]] = {}
     for row in read_history(directory).to_pylist():
         values = [np.nan if row[name] is None else row[name] for name in space.names]
@@ -181,21 +173,13 @@ def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
 
 
 def is_tuning(directory: Path) -> bool:
-    """Return whether a directory holds a tuning run, complete or not.
-
-    Raises:
-        InputError: one of its files or folders is a link or a pipe.
-    """
+    """Return whether a directory holds a tuning run, complete or not; links in it are refused."""
     places.check_directory(directory)
     return (directory / FILE).exists()
 
 
 def load_tuned_study(directory: Path) -> Study:
-    """Load the study with [tune] of a tuning run, from its history.
-
-    Raises:
-        InputError: the history or the study in it cannot be read.
-    """
+    """Load the study with [tune] of a tuning run, from its history."""
     text = (_read_sealed(directory).schema.metadata or {}).get(_STUDY_MARK.encode(), b"")
     return study_from_dict(tomllib.loads(text.decode()), str(directory / FILE))
 

@@ -84,11 +84,7 @@ def prepare_tuning(
     reference: Path | str | None = None,
     **options: Any,
 ) -> Job:
-    """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
-
-    Raises:
-        InputError: as `tune`.
-    """
+    """Check a tuning run and forecast its cost, see `prepare.prepare_job`; errors as `tune`."""
     job = load_job(study, overrides, record, reference, **options)
     require_tune(job.study)
     if job.directory is not None:
@@ -144,11 +140,7 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
 
 
 def _check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
-    """Reject a directory with foreign files, or a tuning run that may be neither used nor replaced.
-
-    Raises:
-        InputError: the directory cannot be used.
-    """
+    """Reject a directory with foreign files, or with a tuning run that may not be used."""
     if not history.is_tuning(directory):
         for name in (STUDY, TUNED, "figures", *search.DESIGNS, EVALUATION):
             if (directory / name).exists():
@@ -162,11 +154,7 @@ def _check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
 
 
 def _read_complete_searches(job: Job) -> list[SearchResult]:
-    """Return the searches that a job continues; none of a damaged history.
-
-    Raises:
-        InputError: they are of another study, or one of them is gone.
-    """
+    """Return the searches that a job continues, none if damaged; refuse those of another study."""
     directory, tune = job.directory, require_tune(job.study)
     if directory is None or not job.resume or not history.is_tuning(directory):
         return []

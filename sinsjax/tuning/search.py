@@ -51,11 +51,7 @@ _SEEDS = 2**63
 
 
 def require_tune(study: Study) -> TuneSection:
-    """Return the [tune] section of a study.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the [tune] section of a study; an `InputError` if there is none."""
     if study.tune is None:
         raise InputError(f"{study.name}: has no [tune] section")
     return study.tune
@@ -131,12 +127,7 @@ def design_points(study: Study, name: str) -> list[SearchPoint]:
 
 
 def search_points(study: Study, name: str, session: SearchSession) -> SearchResult:
-    """Evaluate the points of a search on the tuning draws, in a directory with its name.
-
-    Raises:
-        InputError: the directory cannot be used, or the record does not fit.
-        StudyInterrupted: the session was stopped.
-    """
+    """Evaluate the points of a search on the tuning draws, in a directory with its name."""
     columns = objective.summary_columns(require_tune(study), study)
     points = design_points(study, name)
     scored = score_points(
