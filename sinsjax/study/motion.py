@@ -154,7 +154,7 @@ def read_attitude(study: Study) -> Reference | None:
 
 def attitude_digest(study: Study) -> str | None:
     """Return a digest of the file of the base's attitude, as a part of the study's identity."""
-    name = study.motion and study.motion.attitude_file
+    name = study.motion.attitude_file if study.motion else None
     try:
         return name and hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
     except OSError as error:
