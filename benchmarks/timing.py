@@ -102,8 +102,8 @@ def measurement_conditions() -> Row:
 
     facts, entries = runtime.info(), machine.cpu_info()
     device = jax.devices()[0]
-    present = machine.parse_flags(facts["xla_flags"])
-    missing = [name for name in machine.required_options() if name not in present]
+    present = machine.parse_xla_flags(facts["xla_flags"])
+    missing = [name for name in machine.required_xla_options() if name not in present]
     return {key: facts[key] for key in _FACTS} | {
         "family": f"{entries.get('cpu family', '?')}/{entries.get('model', '?')}",
         "ghz": float(entries["cpu MHz"]) / 1e3 if "cpu MHz" in entries else None,

@@ -293,7 +293,7 @@ def main() -> None:
         if len(sys.argv) == 1 and isinstance(error, _UsageError):
             error.show()  # the help
             raise SystemExit(2) from None
-        code, lines = _describe_end(error)
+        code, lines = _exit_code_and_lines(error)
         for line in lines:
             print(line, file=sys.stderr)
         raise SystemExit(code) from None
@@ -302,7 +302,7 @@ def main() -> None:
     raise SystemExit(code)
 
 
-def _describe_end(error: Any) -> tuple[int, list[str]]:
+def _exit_code_and_lines(error: Any) -> tuple[int, list[str]]:
     """Return the exit code of a command that an error ends, and its lines.
 
     Raises:

@@ -109,7 +109,7 @@ def _compare_workers(client: Any, address: str) -> dict[str, str]:
     required = {name: runtime.relevant_versions()[name] for name in runtime.RESULT_PACKAGES}
     required[_INSTRUCTIONS] = installed[min(installed)][_INSTRUCTIONS]
     for worker, found in installed.items():
-        _check_same(worker, found, required)
+        _refuse_other_versions(worker, found, required)
     return required
 
 
@@ -164,7 +164,9 @@ def _run_tasks(
             client.cancel(list(running))
 
 
-def _check_same(worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]) -> None:
+def _refuse_other_versions(
+    worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]
+) -> None:
     """Refuse a worker whose rows could differ from those of the others."""
     for name, value in required.items():
         if installed.get(name) != value:
@@ -209,7 +211,7 @@ def _make_runner(job: bytes, required: Mapping[str, str]) -> TaskRunner:
     from distributed import get_worker
 
     # Before unpickling, which needs the packages.
-    _check_same(get_worker().address, _describe_process(), required)
+    _refuse_other_versions(get_worker().address, _describe_process(), required)
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

@@ -30,7 +30,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.files import source_name
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.motion import data_end_s, read_attitude, useless_methods
+from sinsjax.study.motion import data_end_s, methods_not_using_turns, read_attitude
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.rules import list_idle_keys
 from sinsjax.study.study import Study
@@ -138,7 +138,7 @@ def finish_job(job: Job, cost: Forecast) -> Job:
     forecast.check_resources(study.name, cost, job.directory if is_new else None)
     check_plugins(study, job.stored)
     if not study.is_recorded:
-        doubts = (*useless_methods(study), *band_warnings(study))
+        doubts = (*methods_not_using_turns(study), *band_warnings(study))
     if study.dropped_s:
         notes += (f"The last {study.dropped_s:g} s do not fill a record interval and are not run.",)
     return job._replace(warnings=doubts, notes=notes, forecast=cost)

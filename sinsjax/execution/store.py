@@ -68,7 +68,9 @@ def continue_job(job: Job) -> Job:
     return job
 
 
-def _check_environment(job: Job, manifest: Manifest, session: Mapping[str, Any]) -> None:
+def _refuse_rows_of_other_versions(
+    job: Job, manifest: Manifest, session: Mapping[str, Any]
+) -> None:
     """Reject rows of other versions or another instruction set: last bits differ, and grow."""
     names = (*runtime.RESULT_PACKAGES, *packages_of(job.study.methods))
     used = [(name, manifest.versions.get(name), session["versions"][name]) for name in names]
@@ -115,7 +117,7 @@ class DirectoryStore:
         self._facts, self._done, self._next_manifest = dict(session), dict[str, Task](), 0.0
         before = Manifest.find(job.directory) if job.resume else None
         if before:
-            _check_environment(job, before, session)
+            _refuse_rows_of_other_versions(job, before, session)
         self._started_s = before.entries.get("started_unix_s") if before else round(time.time(), 3)
         self._start_s = time.monotonic() - ((before and before.wall_s) or 0.0)
 

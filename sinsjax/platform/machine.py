@@ -4,7 +4,7 @@ The options compile that loop to one vectorised native function. By default XLA:
 small fusion of a scan body as a separate function, at several times the cost of a 5-state filter's
 arithmetic, and LLVM leaves the largest of these loops scalar, as it would need more runtime overlap
 checks than its default limit. XLA reads its options from ``XLA_FLAGS`` once, when JAX starts, so
-`runtime.configure` calls `apply_options` before that. The options affect every program of the
+`runtime.configure` calls `apply_xla_options` before that. The options affect every program of the
 process. Set the environment variable ``SINSJAX_XLA_OPTIONS=0`` to leave ``XLA_FLAGS`` unchanged.
 """
 
@@ -50,7 +50,7 @@ def instruction_set(max_isa: str | None = None) -> str:
         and half precision and count as AVX-512.
     """
     if max_isa is None:
-        present = parse_flags(os.environ.get("XLA_FLAGS", ""))
+        present = parse_xla_flags(os.environ.get("XLA_FLAGS", ""))
         max_isa = present.get("xla_cpu_max_isa", "")
     entries = cpu_info()
     flags = (entries.get("flags") or entries.get("Features") or "").split()
@@ -138,14 +138,14 @@ class ConfigurationWarning(UserWarning):
     """JAX could not be set up as intended: runs can be slower, results differ by rounding."""
 
 
-def parse_flags(flags: str) -> dict[str, str]:
+def parse_xla_flags(flags: str) -> dict[str, str]:
     """Return the flags and extra options in a value of ``XLA_FLAGS`` by name; the last one wins."""
     words = re.sub(rf"""--{EXTRA_FLAG}=|[,"']""", " ", flags).split()
     pairs = (re.sub("^--xla_", "xla_", word).partition("=") for word in words)
     return {name: value for name, _, value in pairs}
 
 
-def required_options() -> dict[str, str]:
+def required_xla_options() -> dict[str, str]:
     """Return the options for the instruction set in use, by name.
 
     On x86 they include LLVM's options for loops over lanes in double precision: wider vectors than
@@ -157,15 +157,15 @@ def required_options() -> dict[str, str]:
     return options
 
 
-def missing_options() -> dict[str, str]:
+def missing_xla_options() -> dict[str, str]:
     """Return the options that ``XLA_FLAGS`` does not set; none with ``SINSJAX_XLA_OPTIONS=0``."""
     if os.environ.get(OPT_OUT, "").strip() == "0":
         return {}
-    present = parse_flags(os.environ.get("XLA_FLAGS", ""))
-    return {name: value for name, value in required_options().items() if name not in present}
+    present = parse_xla_flags(os.environ.get("XLA_FLAGS", ""))
+    return {name: value for name, value in required_xla_options().items() if name not in present}
 
 
-def merge_options(flags: str, options: dict[str, str]) -> str:
+def merge_xla_options(flags: str, options: dict[str, str]) -> str:
     """Return a value of ``XLA_FLAGS`` with further options; XLA collects the extra ones."""
     words = {name: f"{name}={value}" for name, value in options.items()}
     plain = [f"--{word}" for name, word in words.items() if name in _PLAIN]
@@ -173,21 +173,21 @@ def merge_options(flags: str, options: dict[str, str]) -> str:
     return " ".join([flags, *plain, *([f"--{EXTRA_FLAG}={extra}"] if extra else [])]).strip()
 
 
-def apply_options() -> None:
+def apply_xla_options() -> None:
     """Add the missing options to ``XLA_FLAGS``; has an effect only before JAX starts.
 
     Warns:
         ConfigurationWarning: ``XLA_FLAGS`` names a file, or this jaxlib refuses the options.
     """
-    flags, missing, problem = os.environ.get("XLA_FLAGS", "").strip(), missing_options(), ""
+    flags, missing, problem = os.environ.get("XLA_FLAGS", "").strip(), missing_xla_options(), ""
     if not missing:
         return
     if flags and not flags.startswith("-"):
-        problem = f"XLA_FLAGS names the file {flags}; add {merge_options('', missing)}"
-    elif not options_work():
+        problem = f"XLA_FLAGS names the file {flags}; add {merge_xla_options('', missing)}"
+    elif not xla_options_work():
         problem = f"jaxlib {importlib.metadata.version('jaxlib')} refuses them"
     else:
-        os.environ["XLA_FLAGS"] = merge_options(flags, missing)
+        os.environ["XLA_FLAGS"] = merge_xla_options(flags, missing)
     if problem:
         warnings.warn(
             "sinsjax's XLA options are not all in effect, runs may be several times slower:"
@@ -205,14 +205,14 @@ def has_backend_started() -> bool:
 
 
 @functools.cache
-def options_work() -> bool:
+def xla_options_work() -> bool:
     """Return whether this jaxlib knows all options; an unknown one would end this process.
 
     A version not in `TESTED_JAXLIB` is tried in a separate process, until one trial succeeds, which
     a file in the user's cache folder marks.
     """
     version = importlib.metadata.version("jaxlib")
-    flags = merge_options("", required_options())
+    flags = merge_xla_options("", required_xla_options())
     if version in TESTED_JAXLIB:
         return True
     with suppress(OSError):

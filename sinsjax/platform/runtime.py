@@ -49,9 +49,9 @@ def configure(devices: int | None = None) -> None:
         raise InputError(f"devices: must be at least 1, not {devices}")
     chosen = jax.config.values["jax_num_cpu_devices"] if devices is None else devices
     if machine.has_backend_started():
-        _warn_if_late(devices)
+        _warn_if_jax_has_started_otherwise(devices)
     else:
-        machine.apply_options()
+        machine.apply_xla_options()
         jax.config.update("jax_num_cpu_devices", chosen if chosen >= 1 else usable_cores())
     _enable_x64()
     enable_cache()
@@ -75,13 +75,13 @@ def _enable_x64() -> None:
         raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
-def _warn_if_late(devices: int | None) -> None:
+def _warn_if_jax_has_started_otherwise(devices: int | None) -> None:
     """Warn that JAX has started without the compiler options or the devices asked for."""
     import jax
 
     running = max(1, jax.config.values["jax_num_cpu_devices"])
     arguments = "" if devices is None else f"devices={devices}"
-    if machine.missing_options() and machine.options_work():
+    if machine.missing_xla_options() and machine.xla_options_work():
         problem = "without sinsjax's compiler options (runs are several times slower)"
     elif devices not in (None, running):
         problem = f"with {running} CPU device(s) instead of {devices}"
@@ -226,7 +226,7 @@ def enable_cache() -> Path | None:
         )
     else:
         try:
-            return _use_folder(Path(setting) if setting not in ("", "1") else None)
+            return _use_cache_folder(Path(setting) if setting not in ("", "1") else None)
         except OSError as error:
             _reason_cache_is_off = f"{error.filename or setting}: {error.strerror or error}"
         if setting:
@@ -234,7 +234,7 @@ def enable_cache() -> Path | None:
     return None
 
 
-def _use_folder(root: Path | None) -> Path:
+def _use_cache_folder(root: Path | None) -> Path:
     """Use the folder for this jaxlib, processor and options, created if missing."""
     import jax
 

@@ -59,13 +59,13 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
     for place, value in changes.items():
-        dropped = _change(result, place, copy_tables(value), places)
+        dropped = _change_value(result, place, copy_tables(value), places)
         if dropped and isinstance(changes, SetOptions):
             _print_warning_once(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
-def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
+def _change_value(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
     """Change a value in tables, and return the alternatives to it that were there."""
     *above, name = place.split(".")
     table: Any = tables

@@ -82,7 +82,9 @@ def make_study_text(
     sections |= {"coarse": {}, "alignment": {"method": "inertial"}}
     if not questions.keys() & {"gyro_columns", "accel_columns", "rate_hz", "time_unit"}:
         record = read_record(record_path, layout)
-        doubts = _complete(sections, record, proposal, given.get("gyro_bias_deg_per_h"))
+        doubts = _add_what_samples_show(
+            sections, record, proposal, given.get("gyro_bias_deg_per_h")
+        )
     else:
         doubts = [_UNKNOWN_LENGTH]
         if layout.rate_hz or "rate_hz" in questions:  # else the stamps will give it
@@ -149,7 +151,7 @@ def _set_times(
     coarse |= {"coarse_method": "inertial", "coarse_duration_s": coarse_s}
 
 
-def _complete(
+def _add_what_samples_show(
     sections: dict[str, dict[str, Any]], record: Record, proposal: Proposal, bias: float | None
 ) -> list[str]:
     """Add what the samples of a record show to the sections of its study; return the doubts."""

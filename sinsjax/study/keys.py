@@ -312,7 +312,7 @@ def dependent_default(key: str, given: GivenKeys) -> Any:
     return info.default if applies else None
 
 
-def filled_in(given: GivenKeys) -> dict[str, TomlTable]:
+def values_of_omitted_keys(given: GivenKeys) -> dict[str, TomlTable]:
     """Return the values of the keys that a study leaves out, by the sections that it has.
 
     Keys that only other methods read, or other models of the Earth, stay without a value.

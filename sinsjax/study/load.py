@@ -26,9 +26,9 @@ from sinsjax.study.keys import (
     SIMULATED_ONLY,
     GivenKeys,
     TomlTable,
-    filled_in,
     key_summary,
     unknown_key_error,
+    values_of_omitted_keys,
 )
 from sinsjax.study.motion import attitude_digest
 from sinsjax.study.study import Study, study_to_tables
@@ -148,7 +148,7 @@ def _read_study(data: TomlTable, name: str) -> Study:
     tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
     with errors.collect():
         check_alternatives(tables_of_keys | sweep.table_of)
-    defaults = filled_in(GivenKeys(given, sweep.values_varied))
+    defaults = values_of_omitted_keys(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:

@@ -134,11 +134,11 @@ def _check_study_size(study: Study) -> None:
 def _check_intervals(study: Study) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
     record = study.study.record_interval_s
-    _check_multiple(study, "record_interval_s", record, "samples")
+    _check_whole_multiple(study, "record_interval_s", record, "samples")
     for key, least in (("feedback_interval_s", 1), ("coarse_duration_s", 2)):
         for point in study.combinations(key) if study.is_readable(key) else ():
             if point[key] is not None:
-                _check_multiple(study, key, point[key], "samples", least)
+                _check_whole_multiple(study, key, point[key], "samples", least)
     if study.study.duration_s < record * (1 - ROUNDING):
         duration = f"duration_s = {study.study.duration_s:.12g}"
         study.refuse("record_interval_s", f"{record:.12g} s is longer than a run, {duration}")
@@ -153,7 +153,7 @@ def _check_passes(study: Study) -> None:
             if (passes or 1) > 1:
                 study.refuse("passes", f"{passes} passes need a stored record (give stored_s)")
             continue
-        _check_multiple(study, "stored_s", record_s, "record intervals")
+        _check_whole_multiple(study, "stored_s", record_s, "record intervals")
         if record_s > duration:
             study.refuse("stored_s", f"{record_s:.12g} s is longer than a run ({study.end})")
         if passes and passes * record_s > duration:
@@ -190,7 +190,7 @@ def _check_coarse_times(study: Study) -> None:
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if not study.has_coarse_stage(method, then):
             continue
-        _check_multiple(study, "coarse_duration_s", length_s, "record intervals")
+        _check_whole_multiple(study, "coarse_duration_s", length_s, "record intervals")
         end_s = min(study.run_s - record_interval_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
@@ -209,7 +209,7 @@ def _check_coarse_times(study: Study) -> None:
             study.refuse("reset_at_feedback", f"{text} (feedback_interval_s = {interval_s:.12g})")
 
 
-def _check_multiple(study: Study, key: str, time: float, what: str, least: int = 1) -> None:
+def _check_whole_multiple(study: Study, key: str, time: float, what: str, least: int = 1) -> None:
     """Refuse a time that is not a whole number of samples or record intervals, or too few of them.
 
     For a record, whose rate is given, the time is rounded to a whole number of samples.
@@ -246,7 +246,7 @@ def _check_report_times(study: Study) -> None:
     if study.counts_before:
         before = {study.samples_before(rate, **p) for p in study.combinations(*COARSE_KEYS)}
     for time in study.report_times_s:
-        _check_multiple(study, "report_times_s", time, "record intervals")
+        _check_whole_multiple(study, "report_times_s", time, "record intervals")
         if time > (min(before) / rate + study.run_s) * (1 + ROUNDING):
             study.refuse("report_times_s", f"{time:.12g} s is not within the run ({study.end})")
         for count in before:
@@ -396,7 +396,7 @@ def list_idle_keys(study: Study) -> list[str]:
     """
     tuned = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
     idle: dict[str, dict[str, list[str]]] = {}  # keys by table, by the reason
-    for key, table in _keys_with_tables(study):
+    for key, table in _given_keys_with_tables(study):
         deciding = deciding_keys(key)
         if SECTION_OF[key] not in SWEEPABLE or not tuned.isdisjoint(deciding):
             continue
@@ -416,7 +416,7 @@ def list_idle_keys(study: Study) -> list[str]:
     return [f"{'; '.join(parts)}."] if parts else []
 
 
-def _keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
+def _given_keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the keys that a study varies or changes from their defaults, and their tables."""
     for name in filter(study.has, SWEEPABLE):
         section, fields = getattr(study, name), SECTIONS[name].model_fields

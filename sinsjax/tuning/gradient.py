@@ -99,7 +99,7 @@ def _descend_candidate(
         box = np.concatenate([laws, search.sobol_boxes(study, GRADIENT, number, screened)])
         if screened > starts:
             points = search.points_at(space, number, box)
-            scored = score_hard(study, stored, points, slope.draws)
+            scored = score_with_hard_resets(study, stored, points, slope.draws)
             box, cost = box[np.argsort(scored.scores, kind="stable")], cost + scored.costs[-1]
         box = box[:starts]
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
@@ -124,7 +124,7 @@ def _descend_candidate(
                 moves, state = adam.update(finite, state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
     points = search.points_at(space, number, np.concatenate([box, laws]))
-    scored = score_hard(study, stored, points)
+    scored = score_with_hard_resets(study, stored, points)
     ends = zip(points, scored.scores, strict=True)
     return evaluations + [
         Evaluation(
@@ -134,7 +134,7 @@ def _descend_candidate(
     ]
 
 
-def score_hard(
+def score_with_hard_resets(
     study: Study,
     stored: StoredRecord | None,
     points: Sequence[SearchPoint],
@@ -261,7 +261,7 @@ class _Program:
 
     def run(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        arguments = self._arguments(box, draws, softness)
+        arguments = self._call_arguments(box, draws, softness)
         self._jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = map_in_threads(
             lambda call: jax.device_get(self._jitted(*call)), arguments, len(jax.devices())
@@ -276,7 +276,7 @@ class _Program:
         shape = self._starts, -1, len(draws)
         return values.reshape(shape), slopes.reshape(*shape, self._p)
 
-    def _arguments(self, box: NDArray, draws: NDArray, softness: Softness) -> list[tuple]:
+    def _call_arguments(self, box: NDArray, draws: NDArray, softness: Softness) -> list[tuple]:
         """Return the arguments of every call."""
         batch, layout = self._batch.select_draws(draws), self._layout
         params, slopes = self._params(box)
@@ -314,13 +314,13 @@ class _Program:
             return objective.relaxed_values(self._tune, criteria, outcome, truth=self._from_truth)
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
-            return sensitivities(partial(tile_values, tile), jnp.zeros(self._p))
+            return value_and_derivatives(partial(tile_values, tile), jnp.zeros(self._p))
 
         values: tuple[Array, Array] = map_tiles(spec, differentiate_tile, tiles, blocks)
         return values
 
 
-def sensitivities(function: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
+def value_and_derivatives(function: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
     """Return value and derivatives of a function at a point, (p,), in one forward pass.
 
     The derivatives have a leading axis of p.
@@ -426,7 +426,7 @@ class TunedParams:
         at = partial(self.at, method, keys)
 
         def of_start(place: Array) -> tuple[Any, Any]:
-            value, slope = sensitivities(at, place)
+            value, slope = value_and_derivatives(at, place)
             return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
 
         of_starts = jax.jit(jax.vmap(of_start))

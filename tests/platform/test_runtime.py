@@ -73,8 +73,8 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
         XLA_FLAGS="--xla_cpu_prefer_vector_width=256",
     )
     flags, info = json.loads(done.stdout)
-    options = machine.required_options() | {"xla_cpu_prefer_vector_width": "256"}
-    assert machine.parse_flags(flags) == options and info["xla_flags"] == flags
+    options = machine.required_xla_options() | {"xla_cpu_prefer_vector_width": "256"}
+    assert machine.parse_xla_flags(flags) == options and info["xla_flags"] == flags
     assert (info["x64"], len(info["devices"])) == (True, 3)
     assert done.stderr == ""
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import pytest
 
 from sinsjax.platform import machine
-from sinsjax.platform.machine import ConfigurationWarning, merge_options, parse_flags
+from sinsjax.platform.machine import ConfigurationWarning, merge_xla_options, parse_xla_flags
 
 OPTIONS = machine._PLAIN | machine._EXTRA
 EXTRA = "--xla_backend_extra_options"
@@ -28,9 +28,9 @@ def unset_flags(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pyt
     monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path)
     monkeypatch.setattr(machine, "instruction_set", lambda: "NEON")
     monkeypatch.setattr(machine, "TESTED_JAXLIB", frozenset())
-    machine.options_work.cache_clear()
+    machine.xla_options_work.cache_clear()
     yield monkeypatch
-    machine.options_work.cache_clear()
+    machine.xla_options_work.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -48,11 +48,13 @@ def test_options_of_the_user_are_kept_and_the_others_added_once(
     unset_flags.setattr(machine, "_can_compile", lambda flags: True)
     unset_flags.setenv("XLA_FLAGS", given)
     for _ in range(2):
-        machine.apply_options()
+        machine.apply_xla_options()
         flags = os.environ["XLA_FLAGS"]
-        assert flags.startswith(given) and parse_flags(flags) == OPTIONS | parse_flags(given)
+        assert flags.startswith(given) and parse_xla_flags(flags) == OPTIONS | parse_xla_flags(
+            given
+        )
     names = re.findall(r"([\w-]+)=(?!-|xla)", flags)
-    assert len(names) == len(set(names)) and not machine.missing_options()
+    assert len(names) == len(set(names)) and not machine.missing_xla_options()
 
 
 def test_tested_jaxlib_is_not_tried_nor_one_that_opts_out(unset_flags: pytest.MonkeyPatch) -> None:
@@ -61,18 +63,18 @@ def test_tested_jaxlib_is_not_tried_nor_one_that_opts_out(unset_flags: pytest.Mo
 
     unset_flags.setattr(subprocess, "run", refuse)
     unset_flags.setenv(machine.OPT_OUT, "0")
-    machine.apply_options()
+    machine.apply_xla_options()
     assert "XLA_FLAGS" not in os.environ
     unset_flags.delenv(machine.OPT_OUT)
     unset_flags.setattr(machine, "TESTED_JAXLIB", {importlib.metadata.version("jaxlib")})
-    machine.apply_options()
-    assert os.environ["XLA_FLAGS"] == merge_options("", OPTIONS)
+    machine.apply_xla_options()
+    assert os.environ["XLA_FLAGS"] == merge_xla_options("", OPTIONS)
 
 
 def test_flag_file_is_left_alone_with_warning(unset_flags: pytest.MonkeyPatch) -> None:
     unset_flags.setenv("XLA_FLAGS", "/flags")
     with pytest.warns(ConfigurationWarning, match="names the file /flags; add --xla"):
-        machine.apply_options()
+        machine.apply_xla_options()
     assert os.environ["XLA_FLAGS"] == "/flags"
 
 
@@ -85,7 +87,7 @@ def test_jaxlib_that_refuses_an_option_gets_none(
     kind = "_EXTRA" if unknown.startswith("--") else "_PLAIN"
     unset_flags.setattr(machine, kind, {unknown: "1"})
     with pytest.warns(ConfigurationWarning, match=r"jaxlib \S+ refuses them"):
-        machine.apply_options()
+        machine.apply_xla_options()
     assert not os.environ.get("XLA_FLAGS")
 
 
@@ -94,15 +96,15 @@ def test_successful_trial_is_remembered_and_a_failed_one_sets_nothing(
 ) -> None:
     unset_flags.setattr(sys, "executable", str(tmp_path / "missing"))
     with pytest.warns(ConfigurationWarning, match="refuses them"):
-        machine.apply_options()
+        machine.apply_xla_options()
     assert not os.environ.get("XLA_FLAGS")
     tried: list[str] = []
     unset_flags.setattr(machine, "_can_compile", lambda flags: not tried.append(flags))
     for extra in (machine._EXTRA, machine._EXTRA, {}):
         unset_flags.setattr(machine, "_EXTRA", extra)
-        machine.options_work.cache_clear()
-        assert machine.options_work()
-    assert tried == [merge_options("", OPTIONS), merge_options("", machine._PLAIN)]
+        machine.xla_options_work.cache_clear()
+        assert machine.xla_options_work()
+    assert tried == [merge_xla_options("", OPTIONS), merge_xla_options("", machine._PLAIN)]
 
 
 @pytest.mark.parametrize(("instructions", "width"), [("AVX512", "8"), ("AVX2", "4"), ("SVE", None)])
@@ -110,7 +112,7 @@ def test_loop_vector_width_follows_instruction_set(
     unset_flags: pytest.MonkeyPatch, instructions: str, width: str | None
 ) -> None:
     unset_flags.setattr(machine, "instruction_set", lambda: instructions)
-    options = machine.required_options()
+    options = machine.required_xla_options()
     assert options.items() >= OPTIONS.items()
     assert options.get("--force-vector-width") == width
     assert options.get("--force-vector-interleave") == (width and "1")
