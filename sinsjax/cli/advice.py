@@ -85,7 +85,7 @@ def advise(
         latitude_deg=latitude,
         time_s=time,
         motion=motion,
-        changes=parse_changes(changes or ()),
+        changes=parse_changes(changes),
     )
     if as_json:
         typer.echo(json.dumps(found.to_dict(), indent=1))

@@ -89,7 +89,7 @@ def init(
     else:
         from sinsjax.study.from_record import make_study_text
 
-        text = make_study_text(from_, path, parse_changes(changes or ()))
+        text = make_study_text(from_, path, parse_changes(changes))
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
     write_file(path, text.encode())
@@ -142,7 +142,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.rules import list_idle_keys
 
     runtime.configure()  # plug-in methods are traced
-    overrides = parse_changes(changes or ())
+    overrides = parse_changes(changes)
     study = load_study(config, overrides)
     if study.tune:
         summary = f"tunes {', '.join(study.tune.variables)}"
@@ -204,7 +204,7 @@ def schedule(config: Config, changes: Changes = None) -> None:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
 
-    study, console = load_study(config, parse_changes(changes or ())), plain_console()
+    study, console = load_study(config, parse_changes(changes)), plain_console()
     for line in reset_plan.describe_plans(study):
         print_line(console, line, wrap=True)
 

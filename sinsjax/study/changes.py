@@ -27,13 +27,13 @@ class SetOptions(dict[str, Any]):
 _print_warning_once = cache(print_warning)  # a command may read its study twice
 
 
-def parse_changes(texts: Iterable[str]) -> SetOptions:
-    """Return the values of some texts ``PLACE=VALUE`` by place.
+def parse_changes(texts: Iterable[str] | None) -> SetOptions:
+    """Return the values of texts ``PLACE=VALUE`` by place, none for None.
 
     Values are written as in TOML; a single word needs no quotes.
     """
     changes = SetOptions()
-    for text in texts:
+    for text in texts or ():
         place, equals, value = (part.strip() for part in text.partition("="))
         if not (place and equals and value):
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")

@@ -51,7 +51,7 @@ class CodedColumn(NamedTuple):
 
     def map(self, function: Callable[[Any], Any]) -> "CodedColumn":
         """Return the column of a function of the values."""
-        return CodedColumn(self.codes, tuple(map(function, self.choices)))
+        return type(self)(self.codes, tuple(map(function, self.choices)))
 
     def expand(self, dtype: Any = float) -> np.ndarray:
         """Return the values as an array, (variants, ...)."""

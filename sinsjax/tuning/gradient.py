@@ -339,10 +339,6 @@ def value_and_derivatives(function: Callable[[Array], Any], point: Array) -> tup
 class _TracedColumn(CodedColumn):
     """A column whose choices are traced numbers."""
 
-    def map(self, function: Callable[[Any], Any]) -> "_TracedColumn":
-        """Return the column of a function of the values."""
-        return _TracedColumn(self.codes, tuple(map(function, self.choices)))
-
     def expand(self, dtype: Any = float) -> Any:
         """Return the values as an array, (variants, ...)."""
         return jnp.stack([jnp.asarray(choice) for choice in self.choices])[self.codes]
