@@ -31,20 +31,14 @@ _ANGLES = ("pitch", "roll", "yaw")
 
 
 class RunSuccess(NamedTuple):
-    """Success of some runs.
+    """Success of some runs."""
 
-    Attributes:
-        has_floor: (runs,) whether the run has a bias floor.
-        settled_s: (2, bands, runs) settling times about the bias floor and about the truth, s; NaN
-            if the last record is still outside, or there is no bias floor.
-        ok: (2, runs) whether the run is a success, judged from either.
-        status: (runs,) of `columns.STATUSES`, None if it cannot be judged.
-    """
-
-    has_floor: NDArray
+    has_floor: NDArray  # (runs,) whether the run has a bias floor
+    # (2, bands, runs) settling times about the bias floor and about the truth, s; NaN if the last
+    # record is still outside, or there is no bias floor
     settled_s: NDArray
-    ok: NDArray
-    status: pa.Array
+    ok: NDArray  # (2, runs) whether the run is a success, judged from either
+    status: pa.Array  # (runs,) of `columns.STATUSES`, None if it cannot be judged
 
 
 def evaluate_success(

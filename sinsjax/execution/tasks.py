@@ -41,35 +41,22 @@ _MOST_COMPILERS = 4  # programs that are compiled side by side, each in memory o
 
 
 class Job(NamedTuple):
-    """A study that is ready to run, see `prepare.prepare_job`.
+    """A study that is ready to run, see `prepare.prepare_job`."""
 
-    Attributes:
-        study: checked study, at the rate of its record.
-        stored: the record of a recorded study.
-        curves: whether to keep curves; None follows the study.
-        chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
-        extended_at: numbers of draws of its results before each extension, ascending.
-        directory: results directory; None for tables in memory.
-        overwrite: whether existing results are removed.
-        resume: whether existing results are continued.
-        source: the study's file, or another label.
-        warnings: doubts about the study or its record, one line each.
-        notes: further information for the user, one line each.
-        forecast: expected runs, time, memory and disk space.
-    """
-
-    study: Study
-    stored: StoredRecord | None = None
-    curves: bool | None = None
+    study: Study  # at the rate of its record
+    stored: StoredRecord | None = None  # the record of a recorded study
+    curves: bool | None = None  # whether to keep curves; None follows the study
+    # runs per chunk, rounded to two or more whole tiles; None for the default
     chunk_runs: int | None = None
+    # numbers of draws of its results before each extension, ascending
     extended_at: tuple[int, ...] = ()
-    directory: Path | None = None
-    overwrite: bool = False
-    resume: bool = False
-    source: str | None = None
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    forecast: Forecast | None = None
+    directory: Path | None = None  # results directory; None for tables in memory
+    overwrite: bool = False  # existing results are removed
+    resume: bool = False  # existing results are continued
+    source: str | None = None  # the study's file, or another label
+    warnings: tuple[str, ...] = ()  # doubts about the study or its record, one line each
+    notes: tuple[str, ...] = ()  # further information for the user, one line each
+    forecast: Forecast | None = None  # expected runs, time, memory and disk space
 
     @property
     def identity(self) -> str:
@@ -89,37 +76,24 @@ class Job(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A chunk of a study's runs.
+    """A chunk of a study's runs."""
 
-    Attributes:
-        name: name of its files, without extension.
-        part: number of its program in the scenario.
-        draws: first draw of its batch and the one after the last.
-        call: number of the chunk of that batch.
-        runs: number of runs.
-        rows: names of the datasets that it writes and their rows, in that order.
-    """
-
-    name: str
-    part: int
-    draws: tuple[int, int]
-    call: int
+    name: str  # name of its files, without extension
+    part: int  # number of its program in the scenario
+    draws: tuple[int, int]  # first draw of its batch and the one after the last
+    call: int  # number of the chunk of that batch
     runs: int
+    # names of the datasets that it writes and their rows, in that order
     rows: tuple[tuple[str, int], ...]
 
 
 class TaskResult(NamedTuple):
-    """Result of one task.
-
-    Attributes:
-        task: the task.
-        content: by dataset: tables, or sealed Parquet files if the job has a directory.
-        failures: runs that diverged or became non-finite.
-    """
+    """Result of one task."""
 
     task: Task
+    # by dataset: tables, or sealed Parquet files if the job has a directory
     content: dict[str, Any]
-    failures: int
+    failures: int  # runs that diverged or became non-finite
 
 
 def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:

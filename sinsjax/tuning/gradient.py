@@ -154,15 +154,10 @@ def score_with_hard_resets(
 
 
 class Softness(NamedTuple):
-    """Degree of relaxation of a step.
+    """Degree of relaxation of a step."""
 
-    Attributes:
-        window_s: half width of the reset windows, s.
-        sharpness: sharpness of the band's edge, see `metrics.Criteria`.
-    """
-
-    window_s: float
-    sharpness: float
+    window_s: float  # half width of the reset windows, s
+    sharpness: float  # sharpness of the band's edge, see `metrics.Criteria`
 
     @classmethod
     def at_step(cls, tune: TuneSection, step: int) -> "Softness":
@@ -173,17 +168,12 @@ class Softness(NamedTuple):
 
 
 class _Lane(NamedTuple):
-    """What lanes have in place of the method's params until they are run.
+    """What lanes have in place of the method's params until they are run."""
 
-    Attributes:
-        params: leaves (lanes, ...).
-        slopes: derivatives of the leaves that depend on the variables, (lanes, p, ...), by number.
-        width: (lanes,) half width of the windows of resets, samples; None if none moves.
-    """
-
-    params: Any
+    params: Any  # leaves (lanes, ...)
+    # derivatives of the leaves that depend on the variables, (lanes, p, ...), by number
     slopes: dict[int, Array]
-    width: Array | None
+    width: Array | None  # (lanes,) half width of the windows of resets, samples; None if none moves
 
 
 class Slope:

@@ -30,15 +30,10 @@ _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 
 
 class SearchPoint(NamedTuple):
-    """A point of a search space.
+    """A point of a search space."""
 
-    Attributes:
-        candidate: number of its combination of candidates.
-        values: one per variable, in the units of the file; NaN for unused variables.
-    """
-
-    candidate: int
-    values: Sequence[float]
+    candidate: int  # number of its combination of candidates
+    values: Sequence[float]  # one per variable, in the units of the file; NaN for unused variables
 
     def keys(self, space: SearchSpace) -> TomlTable:
         """Return its keys and values; the values of unused variables do not matter."""
@@ -48,39 +43,24 @@ class SearchPoint(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """A point evaluated by a search.
+    """A point evaluated by a search."""
 
-    Attributes:
-        step: number of the evaluation, or of the step of a descent, from 0.
-        candidate: number of the combination of candidates.
-        values: one per variable, in the units of the file; NaN for unused variables.
-        objective: over the tuning draws; relaxed where a sharpness is given.
-        cost: steps of the search so far, in steps of a plain run, tangents included.
-        start: number of the descent; None for other searches.
-        window_s: half width of the relaxed resets, s; None if none is relaxed.
-        sharpness: sharpness of the band's relaxed edge; None if the objective is not relaxed.
-    """
-
-    step: int
-    candidate: int
-    values: Sequence[float]
-    objective: float
-    cost: int
-    start: int | None = None
-    window_s: float | None = None
+    step: int  # number of the evaluation, or of the step of a descent, from 0
+    candidate: int  # number of the combination of candidates
+    values: Sequence[float]  # one per variable, in the units of the file; NaN for unused variables
+    objective: float  # over the tuning draws; relaxed where a sharpness is given
+    cost: int  # steps of the search so far, in steps of a plain run, tangents included
+    start: int | None = None  # number of the descent; None for other searches
+    window_s: float | None = None  # half width of the relaxed resets, s; None if none is relaxed
+    # sharpness of the band's relaxed edge; None if the objective is not relaxed
     sharpness: float | None = None
 
 
 class SearchResult(NamedTuple):
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        search: name of the search.
-        evaluations: all evaluations, in their order.
-    """
-
-    search: str
-    evaluations: Sequence[Evaluation]
+    search: str  # name of the search
+    evaluations: Sequence[Evaluation]  # all evaluations, in their order
 
     @property
     def best(self) -> Evaluation:

@@ -58,17 +58,11 @@ def require_tune(study: Study) -> TuneSection:
 
 
 class SearchSession(NamedTuple):
-    """Settings for running the searches of a tuning run.
+    """Settings for running the searches of a tuning run."""
 
-    Attributes:
-        job: prepared job of the tuning run.
-        show_progress: gives the progress callback for the name of a search.
-        stop: event that ends the tuning run.
-    """
-
-    job: Job
-    show_progress: ShowProgress
-    stop: threading.Event
+    job: Job  # prepared job of the tuning run
+    show_progress: ShowProgress  # gives the progress callback for the name of a search
+    stop: threading.Event  # event that ends the tuning run
 
     @property
     def directory(self) -> Path:
