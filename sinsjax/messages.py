@@ -167,11 +167,7 @@ def print_warning(line: str) -> None:
 def print_line(console: Console, text: str, *, style: str = "", wrap: bool = False) -> None:
     """Print a line literally, on a console with or without markup.
 
-    Args:
-        console: the console.
-        text: the line.
-        style: style of the whole line.
-        wrap: whether to wrap it at the width of a terminal; files and pipes are never wrapped.
+    A terminal wraps it at its width if asked to; files and pipes never do.
     """
     soft = not (wrap and console.is_terminal)
     console.print(literal_text(text, style), highlight=False, soft_wrap=soft)

@@ -267,12 +267,8 @@ def interim_columns(study: Study) -> list[str]:
 def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
     """Return the largest half width over the variants of the statistic's 95 % interval.
 
-    It is infinite if a variant has too few settled runs for an interval.
-
-    Args:
-        study: study with [stop_when].
-        table: `interim_columns` of the summary in any order, with all runs of the first draws.
-        draws: number of draws to analyse.
+    It is infinite if a variant has too few settled runs for an interval. The table has
+    `interim_columns` of the summary in any order, with all runs of the first draws.
     """
     # Late: scipy takes a quarter of a second, and few studies need it.
     from sinsjax import analysis

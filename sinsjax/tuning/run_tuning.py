@@ -100,16 +100,9 @@ def prepare_tuning(
 
 
 def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | None = None) -> None:
-    """Run the searches of a prepared tuning run, evaluate them, and write the tuned study.
+    """Run the searches of a job of `prepare_tuning`, evaluate them, and write the tuned study.
 
-    Args:
-        job: from `prepare_tuning`.
-        show_progress: gives the progress callback for the name of a search.
-        stop: event that ends the tuning run; complete stages are kept.
-
-    Raises:
-        InputError: the directory cannot be written, or another process has written there.
-        StudyInterrupted: ``stop`` was set.
+    ``stop`` ends it with `StudyInterrupted`; complete stages are kept.
     """
     session = SearchSession(job, show_progress, stop or threading.Event())
     study, directory = job.study, session.directory

@@ -148,13 +148,9 @@ def score_points(
     points: Sequence[SearchPoint],
     run_cases: Callable[[Study], pa.Table],
 ) -> PointScores:
-    """Score some points; each distinct one is a case of a study.
+    """Score the points of a search; each distinct one is a case of a study.
 
-    Args:
-        study: study with [tune].
-        name: name of the search.
-        points: the points.
-        run_cases: runs a study; gives its summary, with `objective.summary_columns`.
+    ``run_cases`` runs a study and gives its summary, with `objective.summary_columns`.
     """
     space = SearchSpace.from_study(study)
     keys = [point.keys(space) for point in points]
@@ -197,14 +193,9 @@ def derive_study(
 ) -> Study:
     """Return the study of some points on the tuning draws, or on those for evaluation.
 
-    It has no [tune]; the points are its outermost dimension, and its own axes are swept at each.
-    Draws for evaluation are those of another seed, or the other start times of a record.
-
-    Args:
-        study: study with [tune].
-        points: points with the same keys, by the label of their case.
-        name: name of the new study.
-        evaluation: whether to use the evaluation draws.
+    It has another name and no [tune]; the points, by the label of their case, have the same keys
+    and are its outermost dimension, and its own axes are swept at each. Draws for evaluation are
+    those of another seed, or the other start times of a record.
     """
     tune, keys = require_tune(study), next(iter(points.values()))
     tables = search_space.remove_keys(study_to_tables(study), list(keys))
