@@ -20,8 +20,7 @@ from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.store import continue_job
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_seconds
-from sinsjax.methods.plugins import check_plugin
-from sinsjax.methods.registry import METHODS, PACKAGES
+from sinsjax.methods.registry import METHODS, PACKAGES, check_plugin
 from sinsjax.platform import runtime
 from sinsjax.records import Record, read_record, read_reference, require_span
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
@@ -209,7 +208,7 @@ def refuse_external(programs: Sequence[str] | None, source: Path | str) -> None:
 
 
 def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
-    """Refuse a plug-in method that cannot be run, by its package, see `plugins.check_plugin`."""
+    """Refuse a plug-in method that cannot be run, by its package, see `registry.check_plugin`."""
     if not PACKAGES.keys() & study.methods:
         return
     scenario = Scenario(study, stored, curves=False)

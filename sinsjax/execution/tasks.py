@@ -22,8 +22,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
-from sinsjax.engine.duplicates import find_duplicates
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, find_duplicates, map_in_threads
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution.directory import to_sealed_parquet
 from sinsjax.execution.forecast import Forecast
@@ -158,7 +157,7 @@ class TaskRunner:
         layout = Layout(spec, len(draws), len(ids), tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
-            runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
+            runs = len(variant) if duplicates is None else int(duplicates.counts[variant].sum())
             rows = tuple(
                 (name, runs * (spec.intervals if name == "curves" else 1)) for name in self.schemas
             )

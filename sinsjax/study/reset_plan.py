@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
 from sinsjax.messages import format_facts
-from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import predict_settling_time
+from sinsjax.methods.reset_law import ResetProblem, predict_settling_time
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study
 from sinsjax.study.reset_schedules import (

@@ -24,7 +24,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
 from sinsjax.execution.success import require_floor
-from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_without_gradient
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_key_without_gradient
 from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import smooth_resets
@@ -373,7 +373,7 @@ class TunedParams:
         self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
         based = with_point(study, self.point)
         self.moves_resets = any(variable.key in SCHEDULE_KEYS for variable in self.variables)
-        if key := find_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
+        if key := find_key_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
             _refuse(study, key)
         methods, moved = based.values("method"), np.zeros(len(self.variables), bool)
         for name in set(methods):
