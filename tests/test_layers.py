@@ -7,7 +7,7 @@ from pathlib import Path
 import sinsjax
 
 FLOORS = (
-    {"console", "errors", "gone", "messages", "types", "units"},
+    {"errors", "messages", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
     {"methods"},
@@ -21,7 +21,7 @@ FLOORS = (
 )
 """The ground floor first. A folder stands for all of its modules."""
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-MEETS_PEOPLE = {"advice", "cli", "console", "execution", "plots", "report", "tuning"}
+MEETS_PEOPLE = {"advice", "cli", "execution", "messages", "plots", "report", "tuning"}
 
 
 def imported(path: Path) -> set[str]:

@@ -17,11 +17,11 @@ from sinsjax.bounds.information import (
     coloured_errors,
 )
 from sinsjax.errors import InputError
+from sinsjax.messages import format_facts
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.sensors import SensorErrors
-from sinsjax.study import display
 from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM, micro_g
 
 _RATE_DEG_PER_S, _RAMP_S = 10.0, 1.0
@@ -84,7 +84,7 @@ class TurnChoice(NamedTuple):
             option.name: f"{option.sigma_arcmin:.3g} arcmin{', best' * (option == self.best)}"
             for option in self.options
         }
-        return display.format_text("Least heading error (1 sigma) by motion", lines)
+        return format_facts("Least heading error (1 sigma) by motion", lines)
 
 
 def plan_turns(  # noqa: PLR0913

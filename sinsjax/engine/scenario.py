@@ -42,10 +42,9 @@ from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
-from sinsjax.study import sampling
-from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
+from sinsjax.study.motion import data_end_s, read_attitude, turns_in_samples
 from sinsjax.study.schema import (
     EARTH_CONSTANTS,
     TURN_KEYS,
@@ -56,9 +55,8 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Span, Study
 from sinsjax.study.success import settling_bands
-from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.turns import data_end_s, turns_in_samples
-from sinsjax.study.variants import Lookup, Variants
+from sinsjax.study.sweep import CodedColumn
+from sinsjax.study.values import Lookup, Variants, drawn_values
 from sinsjax.types import Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.value_types import Section
@@ -365,7 +363,7 @@ def _drawn_fields(
     study: Study, keys: Variants, draws: range, nominal: BaseAndSensors
 ) -> dict[str, Any]:
     """Return the drawn numbers of a simulated study as fields of `Draw`."""
-    values = sampling.drawn_values(study, len(draws), first=draws.start)
+    values = drawn_values(study, len(draws), first=draws.start)
     drawn = _base_and_sensors(
         Variants(study, keys.ids, values, site=keys.site, micro_g=keys.micro_g)
     )
@@ -435,7 +433,7 @@ def _recorded_inputs(
         increments=increments,
         attitudes=np.stack([reference_attitudes(stored, at) for at in times]),
     )
-    initial = _initial_errors(sampling.drawn_values(study, n))
+    initial = _initial_errors(drawn_values(study, n))
     rows, starts = np.arange(n), fine - first
     return environment, Draw(np.arange(n), starts, rows, Quat(*np.asarray(q).T), **initial)
 

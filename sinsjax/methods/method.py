@@ -214,7 +214,7 @@ class Program(NamedTuple):
 
 
 StudyKeys: TypeAlias = Any
-"""The keys of a study as a method reads them: `sinsjax.study.variants.Variants`.
+"""The keys of a study as a method reads them: `sinsjax.study.values.Variants`.
 
 Params are made for the variants of one program and one site, rules see all variants of a study. In
 a gradient the values of tuned keys are traced.

@@ -17,7 +17,7 @@ from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.grids import Grid
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution.checks import band_warnings
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.gravity_fit import REFITS
