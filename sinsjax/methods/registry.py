@@ -18,7 +18,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import first_error_line, shorten
 from sinsjax.methods.azimuth import EKF_AZIMUTH, UNSCENTED
 from sinsjax.methods.compass import COMPASS
-from sinsjax.methods.gravity_fit import GRAVITY_FIT
+from sinsjax.methods.gravity_fit.method import GRAVITY_FIT
 from sinsjax.methods.inertial_frame import INERTIAL, OPTIMISATION, OPTIMISATION_POSITION
 from sinsjax.methods.invariant import INVARIANT
 from sinsjax.methods.level import LEVEL

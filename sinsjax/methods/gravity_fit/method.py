@@ -2,7 +2,7 @@
 
 The samples of a block of about a second are summed in the body frame at its start. At a record
 time the rotation and the velocity increment of the block are stored, 136 bytes per second of a run,
-and when a fit is due all blocks so far are fitted, see `gravity_least_squares`: after 4, 8, 16, ...
+and when a fit is due all blocks so far are fitted, see `fit`: after 4, 8, 16, ...
 blocks, at reported times and at the end. In between the gyros carry the attitude, without the
 biases found.
 """
@@ -21,16 +21,8 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
 from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
-from sinsjax.methods.gravity_least_squares import (
-    NUMBERS,
-    Block,
-    Drift,
-    FitParams,
-    SensorNoise,
-    Solution,
-    combine,
-    solve,
-)
+from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
+from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.units import DEG_PER_H, si_factor
 from sinsjax.value_types import (
@@ -318,7 +310,7 @@ GRAVITY_FIT = method.Method(
     name="gravity_fit",
     summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
     " that is turned",
-    source="`methods.gravity_least_squares`",
+    source="`methods.gravity_fit.fit`",
     sections={"gravity_fit": GravityFitSection},
     build=build,
     params=params,

@@ -1,0 +1,1 @@
+"""Alignment by the turn of gravity in inertial space, with sensor biases as unknowns."""
