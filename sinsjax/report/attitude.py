@@ -7,15 +7,18 @@ import numpy as np
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import format_number
 from sinsjax.analysis.estimates import TAIL
-from sinsjax.analysis.formats import format_heading_error
+from sinsjax.analysis.labels import (
+    describe_point,
+    format_heading_error,
+    format_number,
+    format_value,
+)
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.labels import describe_point, format_value
-from sinsjax.report.base import MAX_ROWS, Fact, Table, caution
+from sinsjax.report.document import MAX_ROWS, Fact, Table, caution
 
 _HEADERS = {
     "heading_deg": ("heading (deg)", 3),
@@ -107,31 +110,28 @@ def count_contradictions(source: Results) -> int:
 
 def last_attitude_table(source: Results) -> Table:
     """Return heading, pitch and roll of each run, or of each variant at the last start."""
-    study, columns = source.study, list(_HEADERS)
-    rows = source.rows(["draw_id", "start_s", *study.keys_shown, *columns]).to_pylist()
-    columns = [name for name in columns if any(row[name] is not None for row in rows)]
+    study, keys = source.study, source.study.keys_shown
+    rows = source.rows(["draw_id", "start_s", *keys, *_HEADERS]).to_pylist()
+    columns = [name for name in _HEADERS if any(row[name] is not None for row in rows)]
     if study.n_variants > 1:
         name, rows = "variant", rows[-study.n_variants :]
-        names = [describe_point({key: row[key] for key in study.keys_shown}) for row in rows]
+        names = [describe_point({key: row[key] for key in keys}) for row in rows]
     else:
         name, key = ("start (s)", "start_s") if study.is_recorded else ("draw", "draw_id")
         names = [format_value(row[key]) for row in rows]
-    header = [name, *(_HEADERS[column][0] for column in columns)]
     cells = ([format_number(row[c], _HEADERS[c][1]) for c in columns] for row in rows)
     lines = [[name, *line] for name, line in zip(names, cells, strict=True)]
-    return Table("Attitude at the end", header, lines)
+    return Table("Attitude at the end", [name, *(_HEADERS[c][0] for c in columns)], lines)
 
 
 def attitude_table(source: Results) -> Table:
     """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys, variants = ["start_s", *source.study.keys_shown], source.study.n_variants
-    rows = [
-        [
-            *(format_value(row[key]) for key in keys),
-            *(format_number(row[n], _DIGITS[n]) for n in _DIGITS),
-        ]
+    cells = [
+        [format_value(row[key]) for key in keys]
+        + [format_number(row[name], digits) for name, digits in _DIGITS.items()]
         for row in source.rows([*keys, *_DIGITS]).to_pylist()
     ]
     title = "Attitude at the end, with the filter's own 1 sigma"
     whole_starts = MAX_ROWS // variants * variants or MAX_ROWS
-    return Table(title, [*keys, *_DIGITS], rows).shortened(whole_starts)
+    return Table(title, [*keys, *_DIGITS], cells).shortened(whole_starts)

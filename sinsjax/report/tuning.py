@@ -4,13 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sinsjax import plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
-from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.labels import axis_label, format_percent, format_setting, format_value
 from sinsjax.messages import format_count
-from sinsjax.plots.descents import Points, VariableAxis, draw_descents
-from sinsjax.plots.labels import format_setting, format_value
-from sinsjax.report.base import Fact, Picture, Report, Table, caution
+from sinsjax.plots.maps import Points, draw_landscape
+from sinsjax.report.document import Fact, Picture, Report, Table, caution
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
@@ -34,8 +32,9 @@ def build_report(tuning: TuningResults) -> Report:
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *map(caution, _doubts(tuning))],
         _summary_table(tuning),
-        [_candidate_table(tuning), *_landscape(tuning)],
-        f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
+        [_candidate_table(tuning)],
+        [*_landscape(tuning)],
+        footer=f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
     )
 
 
@@ -79,8 +78,7 @@ def _describe_gain(tuning: TuningResults, other: str) -> str:
 
 def _describe_candidate(tuning: TuningResults, name: str) -> str:
     """The values of a candidate in words."""
-    case = {key: value for key, value in tuning.case(name).items() if key != "case"}
-    return ", ".join(format_setting(key, format_value(value)) for key, value in case.items())
+    return ", ".join(format_setting(k, v) for k, v in tuning.case(name).items() if k != "case")
 
 
 def _doubts(tuning: TuningResults) -> Iterator[str]:
@@ -191,16 +189,17 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
     if len(space.combinations) > 1:
         chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
         caption += f". All with {chosen}, the values of the best candidate"
-    variables = [_variable_axis(space.variables[i]) for i in used]
+    variables = dict(_label_and_scale(space.variables[i]) for i in used)
     title = f"Best: {_describe_candidate(tuning, tuning.best_search)}"
-    figure = draw_descents(variables, points, ways, marked, title)
+    figure = draw_landscape(variables, points, ways, marked, title)
     yield Picture("descent", f"{caption}.", figure)
 
 
-def _variable_axis(variable: Variable) -> VariableAxis:
-    name, bracket, unit = plots.axis_label(variable.key).partition(" (")
+def _label_and_scale(variable: Variable) -> tuple[str, bool]:
+    """The label of an axis, and whether it is logarithmic."""
+    name, bracket, unit = axis_label(variable.key).partition(" (")
     if variable.entry is not None and variable.key == TIMES:
         name = f"reset {variable.entry + 1} at"
     elif variable.entry is not None:
         name = f"{name}, number {variable.entry + 1}"
-    return VariableAxis(f"{name}{bracket}{unit}", variable.log)
+    return f"{name}{bracket}{unit}", variable.log

@@ -14,7 +14,7 @@ from scipy import optimize, stats
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, estimates, summaries
-from sinsjax.analysis.formats import format_time_difference
+from sinsjax.analysis.labels import format_time_difference
 
 NEVER, NAN = math.inf, math.nan
 DIFFERENCES = [

@@ -23,8 +23,15 @@ from sinsjax import console as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
-from sinsjax.report.base import Fact, Picture, Report, Table
-from sinsjax.report.markdown import escape_markdown, to_html
+from sinsjax.report.document import (
+    Fact,
+    Picture,
+    Report,
+    Table,
+    escape_markdown,
+    print_report,
+    to_html,
+)
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -61,8 +68,7 @@ def whole_report(text: str) -> Report:
     picture = Picture("fig", text, Figure())
     picture.figure.suptitle(text)
     table = Table(text, [text], [[text]], text)
-    blocks = [text, table, picture]
-    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
+    return Report(text, [Fact(text, text)], None, [table], [picture], [text] * 3)
 
 
 @pytest.mark.parametrize("name", NASTY)
@@ -88,11 +94,11 @@ def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: 
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
-    report.print_report(whole, printed, tmp_path, full=True)
+    print_report(whole, printed, full=True)
     for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
         assert text.count(r"part\x1b") >= 9
