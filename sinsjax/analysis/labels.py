@@ -112,14 +112,9 @@ def format_estimate(
 ) -> str:
     """An estimate as text, such as ``12.3 [11.9, 12.8] s``.
 
-    Args:
-        estimate: estimate to write; infinite numbers become words, a value of NaN ``unknown``, and
-            one end of NaN ``few draws``, since too few do not bound it. An interval with neither
-            end known, or of infinite numbers alone, is omitted.
-        unit: unit, written after the interval.
-        digits: decimals.
-        infinite: words for infinite numbers.
-        negative: words for negative infinite numbers.
+    Infinite numbers become the words given, a value of NaN ``unknown``, and one end of NaN ``few
+    draws``, since too few do not bound it. An interval with neither end known, or of infinite
+    numbers alone, is omitted.
     """
     words = {"nan": FEW_DRAWS, "inf": infinite, "-inf": negative}
     printed = (f"{number:.{digits}f}" for number in estimate[:3])

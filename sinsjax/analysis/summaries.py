@@ -55,11 +55,10 @@ class _Statistic(NamedTuple):
 
 
 class Estimates(NamedTuple):
-    """The long table of statistics, one `Estimate` or count per group and statistic.
+    """The long table of statistics: key values and statistics by name, group by group.
 
-    Attributes:
-        groups: key values and statistics by name, group by group; ``n``, ``nonfinite``,
-            ``no_floor`` and ``never_settled_B`` are counts, None if unknown.
+    Each is an `Estimate`; ``n``, ``nonfinite``, ``no_floor`` and ``never_settled_B`` are counts,
+    None if unknown.
     """
 
     groups: list[tuple[dict[str, Any], dict[str, Any]]]
@@ -183,7 +182,7 @@ def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
             found[count] = times._replace(estimate=_count_missing)
-        found[f"{name}_median"] = times._replace(difference=_median_difference)
+        found[f"{name}_median"] = times._replace(difference=lambda pair: quantile_difference(*pair))
         found[f"{name}_q90"] = times._replace(estimate=partial(quantile, q=0.9))
         found[f"{name}_mean"] = times._replace(estimate=partial(mean, limits=(0.0, math.inf)))
     for name in (x for x in columns if x == "phi_u_arcmin" or x.startswith("phi_u_at_")):
@@ -243,13 +242,8 @@ def compare_with_baseline(
     window mean of phi_u from its floor, by draw; mean). All are unknown without truth or reference,
     and all ends of intervals for runs on a record.
 
-    Args:
-        table: the summary, one row per run.
-        by: key columns as for `group_rows`; one run per draw in each group.
-        baseline: key values of the group to compare with.
-
-    Returns:
-        The groups but the baseline, by first appearance; ``n`` is the number of draws.
+    Keys are those of `group_rows`, with one run per draw in each group; the baseline is a group by
+    its key values, and left out. ``n`` is the number of draws.
 
     Raises:
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
@@ -293,10 +287,6 @@ def _differences(
 def _share_difference(flags: tuple[NDArray, NDArray]) -> Estimate:
     """The difference of two shares; unknown unless the flag was recorded in every run."""
     return proportion_difference(*flags) if np.isfinite(flags).all() else UNKNOWN
-
-
-def _median_difference(times_s: tuple[NDArray, NDArray]) -> Estimate:
-    return quantile_difference(*times_s)
 
 
 def _closer(yaw: tuple[NDArray, NDArray], floor: tuple[NDArray, NDArray]) -> Estimate:

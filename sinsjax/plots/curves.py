@@ -72,12 +72,7 @@ class Ensemble(NamedTuple):
 
 
 def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) -> list[Ensemble]:
-    """Arrange curves by run and record time.
-
-    Args:
-        curves: one row per run and record time, ordered by run_id and time.
-        runs_by_line: label to the runs of a line.
-    """
+    """Arrange curves, ordered by run_id and time, by the runs of each line."""
     grouped = []
     for name, run_ids in runs_by_line.items():
         rows = curves.filter(pc.field("run_id").isin(sorted(run_ids)))
@@ -89,12 +84,7 @@ def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) ->
 
 
 def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
-    """Return the runs of each line that `plot_curves` draws, by its name.
-
-    Args:
-        summary: one row per run, with ``run_id`` and the keys.
-        by: keys of the lines.
-    """
+    """Return the runs of each line that `plot_curves` draws, by its name, of a summary."""
     keys = list(dict.fromkeys(["run_id", *by]))
     columns = pa.table([require_column(summary, key) for key in keys], names=keys)
     lines = islice(group_rows(columns, by), MAX_LINES)
@@ -106,14 +96,9 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
 def draw_mean_and_band(
     axes: Axes, label: str, time_s: NDArray, values: NDArray, colour: str
 ) -> None:
-    """Draw the mean over some runs, and the band that contains 95 % of them.
+    """Draw the mean over some runs, (runs, T), and the band that contains 95 % of them.
 
-    Args:
-        axes: axes to draw on.
-        label: label of the line.
-        time_s: (T,) times, s.
-        values: (runs, T) values; times at which a run has none are omitted.
-        colour: colour of the line and its band.
+    Times at which a run has no value are omitted.
     """
     known = np.isfinite(values).all(axis=0)
     axes.plot(time_s[known], values[:, known].mean(axis=0), color=colour, label=label)

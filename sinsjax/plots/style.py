@@ -121,9 +121,7 @@ def add_legend_below(figure: Figure, axes: Axes) -> None:
 def render_png(figure: Figure, footer: str = "") -> bytes:
     """Return the figure as a PNG file; the same figure and footer give the same bytes.
 
-    Args:
-        figure: figure to draw.
-        footer: source of the data, in small print on a strip below the figure.
+    The footer, the source of the data, is in small print on a strip below the figure.
     """
     # A separate figure, unaffected by the layout, legend or title of the other one.
     strip = Figure(figsize=(figure.get_figwidth(), _STRIP))

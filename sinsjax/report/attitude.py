@@ -34,12 +34,7 @@ _LEVEL_SIGMAS, _LEVEL_ERRORS = (tuple(f"{x}_{a}_arcmin" for a in "en") for x in 
 
 
 def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
-    """Yield the last attitude, and what its heading is worth.
-
-    Args:
-        source: results on a record, of a study without truth, or of methods without heading.
-        variant: the variant to show; None for the last one.
-    """
+    """Yield the last attitude of a variant, or of the last one, and what its heading is worth."""
     rows = source.rows(["variant_id", "start_s", *_HEADERS, *_LEVEL_SIGMAS]).to_pylist()
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
     finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)

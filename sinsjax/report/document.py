@@ -77,13 +77,7 @@ class Picture(NamedTuple):
 
 
 class Fact(NamedTuple):
-    """A line of a verdict.
-
-    Attributes:
-        label: a word or two, such as ``Accuracy``.
-        text: a sentence without its full stop.
-        is_caution: whether it warns.
-    """
+    """A line of a verdict: a label such as ``Accuracy``, and a sentence without its full stop."""
 
     label: str
     text: str
@@ -123,13 +117,9 @@ class Report(NamedTuple):
 def print_report(
     report: Report, console: Console, footer: Sequence[str] = (), *, full: bool = False
 ) -> None:
-    """Print the title, the facts and the table per condition of a report.
+    """Print the title, the facts and the table per condition of a report, then the footer.
 
-    Args:
-        report: the report.
-        console: the console.
-        footer: last lines of the verdict: where the figures are, and the command for all tables.
-        full: whether to print every row of the table, and all notes and tables.
+    ``full`` is for every row of the table, and for all notes and tables.
     """
     console.print()
     console.print(literal_text(report.title, "bold"))

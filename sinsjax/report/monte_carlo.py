@@ -59,13 +59,8 @@ def build_report(
 ) -> Report:
     """The verdict and the figures of a study, and all tables if they are wanted.
 
-    Args:
-        source: the results.
-        with_tables: whether to compute the tables.
-        warnings_shown: whether the user has seen the study's warnings.
-
-    Raises:
-        InputError: runs are missing.
+    ``warnings_shown`` means that the user has seen the study's warnings. Raises `InputError` if
+    runs are missing.
     """
     study, outcome = source.study, _find_outcome(source)
     tables, notes = [], []
@@ -101,12 +96,7 @@ def build_verdict(
     """Return the report without its figures and tables.
 
     It states the best option if a truth is known, and the attitude on a record, without a truth or
-    without a heading.
-
-    Args:
-        source: the results.
-        outcome: the outcome of the sweep, if it was found before.
-        warnings_shown: whether the user has seen the study's warnings.
+    without a heading. The outcome is that of the sweep, if it was found before.
     """
     study, outcome = source.study, outcome or _find_outcome(source)
     finds_heading = any(METHODS[name].finds_heading for name in study.methods)

@@ -1,6 +1,6 @@
 """The report of a tuning: its candidates, evaluated on unused draws, and its searches."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
+from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.law_point import LAW
 from sinsjax.tuning.results import (
     SEARCH_LABELS,
@@ -106,9 +107,10 @@ def _summary_table(tuning: TuningResults) -> Table:
     """The candidates by their objective, the best first."""
     rows = []
     for name in sorted(tuning.case_numbers, key=lambda name: tuning.score_of(name).value):
-        is_start = name == "baseline"
-        difference = "-" if is_start else _format(tuning, tuning.difference(name, "baseline"))
-        label = "start" if is_start else SEARCH_LABELS.get(name, name)
+        label, difference = "start", "-"
+        if name != "baseline":
+            label = SEARCH_LABELS.get(name, name)
+            difference = _format(tuning, tuning.difference(name, "baseline"))
         rows.append([label, _format(tuning, tuning.score_of(name)), difference])
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
@@ -159,25 +161,22 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
     used = space.used_variables(combination)
     if not used:
         return
+
+    def points_of(label: str, evaluations: Sequence[Evaluation]) -> Points:
+        values = np.array([e.values for e in evaluations])[:, used]
+        return Points(label, values, np.array([e.objective for e in evaluations]))
+
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)
     evaluations = [e for e in tuning.searches[name].evaluations if e.candidate == number]
     if name == "grid":  # without the law's schedule, which is not on the grid
         evaluations = evaluations[-(tuning.tune.grid_points ** len(used)) :]
-    points = Points(
-        objective_label(tuning.search_study),
-        np.array([e.values for e in evaluations])[:, used],
-        np.array([e.objective for e in evaluations]),
-    )
+    points = points_of(objective_label(tuning.search_study), evaluations)
     ways = [
         Points("descents, from the open circles", values[:, used], found)
         for values, found in tuning.descents(number)
     ]
     marked = [
-        Points(
-            f"best of {SEARCH_LABELS[search]}",
-            np.array([result.best.values])[:, used],
-            np.array([result.best.objective]),
-        )
+        points_of(f"best of {SEARCH_LABELS[search]}", [result.best])
         for search, result in tuning.searches.items()
         if result.best.candidate == number
     ]

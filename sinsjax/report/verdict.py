@@ -56,12 +56,7 @@ _FIT_DOUBTS = {
 class SweepOutcome:
     """The results of a sweep by option, condition and draw, by one criterion of success.
 
-    Attributes:
-        source: the results.
-        criterion: criterion of success.
-        grid: the runs, by option and condition; copies of other variants are left out.
-        option_axes: keys that identify the points of each axis that is a choice.
-        condition_axes: keys of each other axis.
+    Copies of variants are left out. An axis is given by the keys that identify its points.
     """
 
     source: Results
@@ -83,12 +78,10 @@ class SweepOutcome:
             for axis in study.dimensions
         ]
         sizes = [len(next(iter(axis.values()))) for axis in study.dimensions]
-        variants = np.arange(study.n_variants).reshape(sizes)
-        variants = variants.transpose(np.argsort(imposed, kind="stable"))
-        options = np.prod(
-            [n for n, is_imposed in zip(sizes, imposed, strict=True) if not is_imposed]
-        )
-        variants = variants.reshape(int(options), -1)
+        choices_first = np.argsort(imposed, kind="stable")
+        variants = np.arange(study.n_variants).reshape(sizes).transpose(choices_first)
+        chosen = [size for size, is_imposed in zip(sizes, imposed, strict=True) if not is_imposed]
+        variants = variants.reshape(int(np.prod(chosen)), -1)
         first = study.duplicate_of[variants] == variants
         variants = variants[first.any(axis=1)][:, first.any(axis=0)]
         draws = np.arange(table.num_rows // study.n_variants)
@@ -97,8 +90,6 @@ class SweepOutcome:
         for keys, is_imposed in zip(study.axes_shown, imposed, strict=True):
             axes[is_imposed].append(keys)
         return cls(source, (complete or criteria)[0], grid, *axes)
-
-    # --- options and conditions -----------------------------------------------------------------
 
     @property
     def variants(self) -> NDArray:
@@ -146,8 +137,6 @@ class SweepOutcome:
     def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
         return replace(self, grid=self.grid._replace(rows=self.grid.rows[:, conditions]))
-
-    # --- runs -----------------------------------------------------------------------------------
 
     @cached_property
     def time_s(self) -> NDArray:
