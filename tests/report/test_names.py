@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich.console import Console
 from support.stored_results import report_text, store_results
@@ -28,7 +27,6 @@ from sinsjax.report.document import (
     Picture,
     Report,
     Table,
-    escape_markdown,
     print_report,
     to_html,
 )
@@ -69,14 +67,6 @@ def whole_report(text: str) -> Report:
     picture.figure.suptitle(text)
     table = Table(text, [text], [[text]], text)
     return Report(text, [Fact(text, text)], None, [table], [picture], [text] * 3)
-
-
-@pytest.mark.parametrize("name", NASTY)
-def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
-    read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = escape(name, quote=False)
-    assert read.renderInline(escape_markdown(name)) == shown
-    assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
 
 
 def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: Path) -> None:
