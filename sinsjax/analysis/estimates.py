@@ -29,10 +29,9 @@ CONFIDENCE = 0.95
 RESAMPLES = 1000
 TAIL = (1 - CONFIDENCE) / 2
 CLUSTER_COLUMNS = ("draw_id", "start_s")
-"""Columns of the summary that identify clusters."""
 
 _MIN_CLUSTERS = 5  # fewest clusters that bound a root mean square
-_UPPER = 1.3  # factor on the upper reach of a root's interval, see `_root_interval`
+_UPPER = 1.3  # factor on the upper reach of a root's interval; Student's t, 5 degrees, needs it
 _BLOCK = 2**22  # values drawn at a time, to bound the bootstrap's memory
 _SYMMETRIC = 1e-6
 _NODE = 0.25  # spacing of the nodes of the integral
@@ -68,9 +67,6 @@ def cluster_ids(table: pa.Table) -> NDArray | None:
     if start in table.column_names and np.unique(numeric_column(table, start)).size > 1:
         return np.zeros_like(ids)
     return ids
-
-
-# --- shares and quantiles -----------------------------------------------------------------------
 
 
 def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
@@ -248,9 +244,6 @@ def _probability_below(share: float, hits: NDArray, runs: NDArray) -> float:
     return float(values.real.sum())
 
 
-# --- means --------------------------------------------------------------------------------------
-
-
 def _clustered_mean(values: NDArray, place: NDArray) -> tuple[float, float, int, float]:
     """A mean, its standard error (NaN for one cluster), the number and skewness of clusters.
 
@@ -313,36 +306,25 @@ def rms(
 ) -> Estimate:
     """The root mean square of the finite values.
 
-    Non-finite values are omitted; ``n`` is the number used. Fewer than five have no interval. It
-    ends at ``max_magnitude``, the largest magnitude that a value can have.
+    Non-finite values are omitted; ``n`` is the number used. The interval is Student's t on a
+    logarithmic scale, with Bonett's two corrections (2006, Computational Statistics and Data
+    Analysis 50, 775) for the correlation of the estimate with its error, and `_UPPER`, since a
+    sample seldom shows the tails of a distribution. Fewer than five values have none. It ends at
+    ``max_magnitude``, the largest magnitude that a value can have.
     """
     data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    value = math.sqrt(np.mean(data**2))
-    low, high = _root_interval(*_clustered_mean(data**2, place)[:3])
-    return Estimate(value, min(low, max_magnitude), min(high, max_magnitude), data.size)
-
-
-def _root_interval(square: float, error: float, n: int) -> tuple[float, float]:
-    """The ends of the interval of the root of a mean square with a standard error.
-
-    Student's t on a logarithmic scale, with Bonett's two corrections (2006, Computational
-    Statistics and Data Analysis 50, 775) for the correlation of the estimate with its error. A
-    sample seldom shows the tails of a distribution, hence `_UPPER`, which Student's t with 5
-    degrees of freedom requires.
-    """
+    square, error, n, _ = _clustered_mean(data**2, place)
+    value, ends = math.sqrt(square), (math.nan, math.nan)
     if square == 0.0 and n > 1:
-        return 0.0, 0.0
-    if n < _MIN_CLUSTERS:
-        return math.nan, math.nan
-    variance = n / (n - 2) * (error / square) ** 2
-    reach = _student_reach(n) * math.sqrt(variance) * (1 + variance)
-    low, high = (math.sqrt(square) * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))
-    return low, high
-
-
-# --- paired differences -------------------------------------------------------------------------
+        ends = 0.0, 0.0
+    elif n >= _MIN_CLUSTERS:
+        variance = n / (n - 2) * (error / square) ** 2
+        reach = _student_reach(n) * math.sqrt(variance) * (1 + variance)
+        low, high = (value * math.exp((variance + r) / 2) for r in (-reach, _UPPER * reach))
+        ends = min(low, max_magnitude), min(high, max_magnitude)
+    return Estimate(value, *ends, data.size)
 
 
 def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
@@ -386,37 +368,28 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     draws in the same order as a.
     """
     first, second = (x.astype(bool) for x in _paired_arrays(a, b))
-    (one, one_low, one_high), (two, two_low, two_high) = map(_wilson_interval, (first, second))
-    correlation = _paired_correlation(first, second)
+    n, k, m, both = first.size, *map(np.count_nonzero, (first, second, first & second))
+    (one, one_low, one_high), (two, two_low, two_high) = (_wilson_interval(x, n) for x in (k, m))
+    # Pearson's phi of the pairs, with Newcombe's continuity correction.
+    scale, excess = math.sqrt(k * (n - k) * m * (n - m)), n * both - k * m
+    excess = max(excess - n / 2, 0.0) if excess > 0 else excess
+    correlation = excess / scale if scale else 0.0
 
     def half_width(x: float, y: float) -> float:
         return math.sqrt(max(x * x - 2 * correlation * x * y + y * y, 0.0))
 
     low = one - two - half_width(one - one_low, two_high - two)
     high = one - two + half_width(one_high - one, two - two_low)
-    return Estimate(one - two, low, high, first.size)
+    return Estimate(one - two, low, high, n)
 
 
-def _wilson_interval(flags: NDArray) -> tuple[float, float, float]:
-    """A share, and the ends of Wilson's score interval."""
-    k, n = int(np.count_nonzero(flags)), flags.size
+def _wilson_interval(k: int, n: int) -> tuple[float, float, float]:
+    """The share k/n, and the ends of Wilson's score interval."""
     part, z = k / n, float(special.ndtri(1 - TAIL))
     centre = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * math.sqrt(n * part * (1 - part) + z * z / 4)
     # At 0 and 1 an end of the interval equals the share, apart from rounding.
     return part, centre - half if k else 0.0, centre + half if k < n else 1.0
-
-
-def _paired_correlation(a: NDArray, b: NDArray) -> float:
-    """Pearson's phi of two paired shares, with Newcombe's continuity correction."""
-    n = a.size
-    both, only_a, only_b = (float(np.count_nonzero(x)) for x in (a & b, a & ~b, b & ~a))
-    none = n - both - only_a - only_b
-    scale = math.sqrt((both + only_a) * (only_b + none) * (both + only_b) * (only_a + none))
-    excess = both * none - only_a * only_b
-    if excess > 0:
-        excess = max(excess - n / 2, 0.0)
-    return excess / scale if scale else 0.0
 
 
 def bootstrap_interval(
@@ -438,9 +411,6 @@ def bootstrap_interval(
     # Order statistics: interpolation between infinite values would give NaN.
     low, high = np.quantile(np.concatenate(drawn), [TAIL, 1 - TAIL], method="inverted_cdf")
     return float(low), float(high)
-
-
-# --- values -------------------------------------------------------------------------------------
 
 
 def _to_floats(values: ArrayLike, *, missing: float = math.nan) -> NDArray:
@@ -468,9 +438,7 @@ def _finite_values(values: ArrayLike, cluster: ArrayLike | None) -> tuple[NDArra
     return data[is_finite], _cluster_places(cluster, data.size)[is_finite]
 
 
-def _paired_arrays(
-    a: ArrayLike, b: ArrayLike, *, missing: float = math.nan
-) -> tuple[NDArray, NDArray]:
+def _paired_arrays(a: ArrayLike, b: ArrayLike, missing: float = math.nan) -> tuple[NDArray, ...]:
     first, second = _to_floats(a, missing=missing), _to_floats(b, missing=missing)
     if first.shape != second.shape:
         raise ValueError(f"pairs need equal lengths, got {first.size} and {second.size}")
