@@ -50,14 +50,9 @@ _SIGMAS = {
 
 
 class Ensemble(NamedTuple):
-    """Curves of several runs, drawn as one line with its band.
+    """Curves of several runs, drawn as one line with its band: (T,) times, (runs, T) by column.
 
-    Attributes:
-        label: label in the legend.
-        time_s: (T,) record times, s.
-        columns: column name to values, (runs, T).
-        floor_arcmin: rms bias floor of the runs that have one; NaN if none does.
-        resets_s: reset times to mark.
+    The bias floor is the rms of the runs that have one; reset times are marked.
     """
 
     label: str

@@ -181,16 +181,10 @@ def _draw_cells(axes: Axes, cells: NDArray, norm: Normalize, colours: str) -> Ax
     return image
 
 
-# --- a tuning -----------------------------------------------------------------------------------
-
-
 class Points(NamedTuple):
     """Points of a search, of a descent in its order, or a single one that is marked.
 
-    Attributes:
-        name: label in the legend.
-        values: (points, variables).
-        objective: (points,) of a descent relaxed; infinite if a point has none, NaN if unknown.
+    Values are (points, variables); the objective is infinite if a point has none, NaN if unknown.
     """
 
     name: str
@@ -213,12 +207,8 @@ def draw_landscape(
 ) -> Figure:
     """Draw descents over sampled points: a curve of one variable, or a panel per pair of more.
 
-    Args:
-        variables: whether the axis of each variable is logarithmic, by its label with the unit.
-        points: the points of a search; its name is that of the objective, with its unit.
-        descents: the descents.
-        marked: marked points, such as the best point of each search.
-        title: title of the figure.
+    Variables are given by their labels, and whether the axis is logarithmic. The name of the points
+    is that of the objective, with its unit. The best of each search, for example, is marked.
     """
     names, logs = list(variables), list(variables.values())
     pairs = list(combinations(range(len(names)), min(2, len(names))))[:_MOST_PAIRS]

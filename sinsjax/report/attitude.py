@@ -37,27 +37,32 @@ def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
     """Yield the last attitude of a variant, or of the last one, and what its heading is worth."""
     rows = source.rows(["variant_id", "start_s", *_HEADERS, *_LEVEL_SIGMAS]).to_pylist()
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
-    finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)
-    yield _attitude_fact(source, row, finds_heading=finds_heading)
-    if not finds_heading:
+    yield _attitude_fact(source, row)
+    if not _finds_heading(source):
         yield from _level_facts(source)
 
 
-def _attitude_fact(source: Results, row: Mapping[str, Any], *, finds_heading: bool) -> Fact:
+def _finds_heading(source: Results) -> bool:
+    return any(METHODS[name].finds_heading for name in source.study.methods)
+
+
+def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _HEADERS)
     if pitch is None or roll is None:
         return caution("unknown, the run is not finite", "Attitude")
     text, sigmas = f"pitch {pitch:.3f}, roll {roll:.3f} deg", [row[name] for name in _LEVEL_SIGMAS]
-    if not finds_heading and None not in sigmas:
+    if _finds_heading(source):
+        shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
+        text = (
+            f"no heading, {text}"
+            if heading is None
+            else f"heading {heading:.3f} deg{shown}, {text}"
+        )
+        text += "" if error is None or heading is None else f"; {error:+.1f}' from the reference"
+    elif None not in sigmas:
         biases = max(source.study.values("level_accel_bias_ug"))
         text += f" (1 sigma {max(sigmas):.1f}', with accelerometer biases of {biases:,g} ug)"
-    elif finds_heading and heading is None:
-        text = f"no heading, {text}"
-    elif finds_heading:
-        shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
-        text = f"heading {heading:.3f} deg{shown}, {text}"
-        text += "" if error is None else f"; {error:+.1f}' from the reference"
     if source.runs > 1:
         start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
         text += f" ({start})"
@@ -85,22 +90,15 @@ def attitude_cautions(source: Results) -> Iterator[Fact]:
         text = "1 sigma is the filter's own and excludes constant biases: add their floor"
         text += " (`sinsjax advise`), or use gravity_fit with fit_gyro_bias_deg_per_h"
         yield caution(text)
-    if count := count_contradictions(source):
-        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
-
-
-def count_contradictions(source: Results) -> int:
-    """Return the number of runs whose mean r' S^-1 r lies above its 95 % chi-square band.
-
-    Values below the band mean that R is larger than the noise, which is no contradiction.
-    """
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:  # no method has innovations
-        return 0
+        return
     mean, freedom = (analysis.numeric_column(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
-    return int((mean > 2 * special.chdtri(freedom, TAIL) / freedom).sum())
+    # The mean of r' S^-1 r is above its 95 % band; below it R is larger than the noise, no doubt.
+    if count := int((mean > 2 * special.chdtri(freedom, TAIL) / freedom).sum()):
+        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
 
 
 def last_attitude_table(source: Results) -> Table:

@@ -90,16 +90,11 @@ def caution(text: str, label: str = "Caution") -> Fact:
 
 
 class Report(NamedTuple):
-    """The report on one directory of results.
+    """The report on one directory of results: facts, tables and figures.
 
-    Attributes:
-        title: name of the study, number of runs, and failures.
-        facts: the answer, then its basis, then doubts.
-        table: the answer per condition, if there are several.
-        tables: all other tables.
-        pictures: the figures.
-        notes: paragraphs on all of it: definitions, and what computed it.
-        footer: footer of the figures: the runs that they rest on.
+    The facts are the answer, then its basis, then doubts; ``table`` is the answer per condition, if
+    there are several. Notes are paragraphs on all of it. The footer of the figures states the runs
+    that they rest on.
     """
 
     title: str

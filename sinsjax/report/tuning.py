@@ -127,21 +127,18 @@ def _candidate_table(tuning: TuningResults) -> Table:
     rows = []
     for name in tuning.case_numbers:
         tuned, cost, percent = "-", "-", "-"
-        if name in searches:
-            best = UNKNOWN._replace(value=searches[name].best.objective)
-            tuned, cost = _format(tuning, best), f"{searches[name].cost / 1e6:,.4g}"
-        if name in searches and rival in searches:
-            share = 100 * searches[name].cost / searches[rival].cost
+        if result := searches.get(name):
+            tuned = _format(tuning, UNKNOWN._replace(value=result.best.objective))
+            cost = f"{result.cost / 1e6:,.4g}"
+        if result and rival in searches:
+            share = 100 * result.cost / searches[rival].cost
             percent = f"{share:,.{0 if share >= 100 else 1}f} %"
         found = tuning.settled_share(name)
-        rows.append(
-            [
-                *(name, _format(tuning, tuning.score_of(name)), tuned),
-                *([format_percent(found)] if found else []),
-                "-" if name == rival else _format(tuning, tuning.difference(name)),
-                *(cost, percent, *(format_value(tuning.case(name)[key]) for key in keys)),
-            ]
-        )
+        difference = "-" if name == rival else _format(tuning, tuning.difference(name))
+        row = [name, _format(tuning, tuning.score_of(name)), tuned]
+        row += [format_percent(found)] if found else []
+        case = tuning.case(name)
+        rows.append([*row, difference, cost, percent, *(format_value(case[key]) for key in keys)])
     note = "Of draws that tuned nothing, the same for all [95 % interval by the bootstrap over"
     note += " them]. Cost: simulated steps of the search, with those of its derivatives."
     return Table("Candidates on the unused draws", header, rows, note)

@@ -126,14 +126,6 @@ class SweepOutcome:
                     words.append(describe_schedule(self._reset_times[variant]))
         return ", ".join(dict.fromkeys(words))
 
-    def conditions_by_point(self, keys: Sequence[str]) -> dict[tuple[Any, ...], list[int]]:
-        """The conditions at each point of an axis, by the values of its keys."""
-        columns = [self.source.study.values(key) for key in keys]
-        conditions: dict[tuple[Any, ...], list[int]] = {}
-        for place, variant in enumerate(self.variants[0].tolist()):
-            conditions.setdefault(tuple(values[variant] for values in columns), []).append(place)
-        return conditions
-
     def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
         return replace(self, grid=self.grid._replace(rows=self.grid.rows[:, conditions]))
@@ -424,7 +416,12 @@ def fit_cautions(source: Results) -> Iterator[Fact]:
 def condition_table(outcome: SweepOutcome) -> Table | None:
     """The best option at each point of the condition along which its settling varies most."""
     time_s = np.minimum(outcome.time_s[outcome.best], outcome.unsettled_time_s).mean(axis=-1)
-    points = {keys: outcome.conditions_by_point(keys) for keys in outcome.condition_axes}
+    points: dict[tuple[str, ...], dict[tuple[Any, ...], list[int]]] = {}
+    for keys in outcome.condition_axes:
+        columns, points[keys] = [outcome.source.study.values(key) for key in keys], {}
+        for place, variant in enumerate(outcome.variants[0].tolist()):
+            point = tuple(values[variant] for values in columns)
+            points[keys].setdefault(point, []).append(place)
     spread = {
         keys: np.ptp([time_s[conditions].mean() for conditions in found.values()])
         for keys, found in points.items()
