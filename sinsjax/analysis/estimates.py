@@ -368,10 +368,11 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     draws in the same order as a.
     """
     first, second = (x.astype(bool) for x in _paired_arrays(a, b))
-    n, k, m, both = first.size, *map(np.count_nonzero, (first, second, first & second))
+    n = first.size
+    k, m, both = (int(np.count_nonzero(x)) for x in (first, second, first & second))
     (one, one_low, one_high), (two, two_low, two_high) = (_wilson_interval(x, n) for x in (k, m))
     # Pearson's phi of the pairs, with Newcombe's continuity correction.
-    scale, excess = math.sqrt(k * (n - k) * m * (n - m)), n * both - k * m
+    scale, excess = math.sqrt(k * (n - k) * m * (n - m)), float(n * both - k * m)
     excess = max(excess - n / 2, 0.0) if excess > 0 else excess
     correlation = excess / scale if scale else 0.0
 

@@ -40,8 +40,6 @@ KEY_NAMES = {
 
 _MOST_TIMES = 4  # reset times listed in a phrase
 
-# --- keys ---------------------------------------------------------------------------------------
-
 
 def name_and_unit(column: str) -> tuple[str, str]:
     """Plain-English name of a column, and its unit as printed."""
@@ -98,9 +96,6 @@ def describe_schedule(times_s: Sequence[float]) -> str:
     if len(times_s) <= _MOST_TIMES:
         return f"resets at {', '.join(f'{time:g}' for time in times_s)} s"
     return f"{len(times_s)} resets from {times_s[0]:g} to {times_s[-1]:g} s"
-
-
-# --- estimates ----------------------------------------------------------------------------------
 
 
 def format_estimate(

@@ -227,9 +227,6 @@ def _magnitude_q90(values: NDArray, cluster: NDArray | None) -> Estimate:
     return _known_quantile(np.abs(values), cluster, 0.9)
 
 
-# --- paired differences -------------------------------------------------------------------------
-
-
 def compare_with_baseline(
     table: pa.Table, by: Sequence[str], baseline: Mapping[str, Any]
 ) -> Estimates:
@@ -279,8 +276,9 @@ def _differences(
         pairs = [pair_by_draw(rows, base, column) for column in one.columns]
         if one.difference and (with_floor or not one.needs_floor):
             estimate = one.difference(*pairs)
-            ends = {"low": math.nan, "high": math.nan} if is_recorded else {}
-            found[f"{name}_difference"] = estimate._replace(**ends)
+            if is_recorded:
+                estimate = estimate._replace(low=math.nan, high=math.nan)
+            found[f"{name}_difference"] = estimate
     return found
 
 

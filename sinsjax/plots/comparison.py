@@ -79,7 +79,13 @@ def plot_compare(
     values: list[Any] = []
     for groups in sorted(lines.values(), key=len, reverse=True):
         values += [point[key] for point, _ in groups if point[key] not in values]
-    panels = {name: _estimates(lines, key, values, name) for name in titles}
+    panels = {name: np.full((len(lines), len(values), 3), UNKNOWN[:3]) for name in titles}
+    # A schedule by the law of resets has other times at each value, so no line has all values.
+    for line, groups in enumerate(lines.values()):
+        for point, found in groups:
+            for name, panel in panels.items():
+                scale = 100 if name.endswith("_rate") else 1
+                panel[line, values.index(point[key])] = np.multiply(scale, found[name][:3])
     known = {name: panel for name, panel in panels.items() if np.isfinite(panel[..., 0]).any()}
     panels = known or panels
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
@@ -115,27 +121,10 @@ def _default_statistics(table: pa.Table) -> dict[str, str]:
     return found | {"phi_u_arcmin_rms": "heading error at the end, rms (arcmin)"}
 
 
-def _estimates(
-    lines: Mapping[str, Sequence[tuple[dict[str, Any], dict[str, Any]]]],
-    key: str,
-    values: Sequence[Any],
-    name: str,
-) -> NDArray:
-    """A statistic with its ends of each line at each value of a key, (lines, values, 3).
-
-    A schedule by the law of resets has other times at each value: such a line has NaN elsewhere.
-    """
-    found = np.full((len(lines), len(values), 3), UNKNOWN[:3])
-    for line, groups in enumerate(lines.values()):
-        for point, statistics in groups:
-            found[line, values.index(point[key])] = statistics[name][:3]
-    return 100 * found if name.endswith("_rate") else found
-
-
 def _draw_panel(
     axes: Axes, lines: Sequence[str], estimates: NDArray, x: NDArray, joined: str
 ) -> None:
-    """Draw the lines of a panel, (lines, values, 3)."""
+    """Draw the lines of a panel: estimates and ends of their intervals, (lines, values, 3)."""
     value = np.where(np.isfinite(estimates[..., 0]), estimates[..., 0], np.nan)
     ends = np.stack([value - estimates[..., 1], estimates[..., 2] - value])
     bars = np.maximum(np.nan_to_num(ends, posinf=0.0, neginf=0.0), 0.0)

@@ -32,12 +32,8 @@ def print_reports(
 ) -> None:
     """Print the verdict on results or tunings, and draw their figures to ``figures/`` in each.
 
-    Args:
-        directories: of results or tunings.
-        console: the console.
-        html: a self-contained HTML file to write.
-        full: whether to print all tables.
-        warnings_shown: whether the user has seen the studies' warnings.
+    ``html`` is a self-contained file to write, ``full`` whether to print all tables, and
+    ``warnings_shown`` whether the user has seen the studies' warnings.
 
     Raises:
         InputError: a directory holds no usable results, or cannot be written; or

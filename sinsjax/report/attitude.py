@@ -38,12 +38,19 @@ def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
     rows = source.rows(["variant_id", "start_s", *_HEADERS, *_LEVEL_SIGMAS]).to_pylist()
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
     yield _attitude_fact(source, row)
-    if not _finds_heading(source):
+    if not finds_heading(source):
         yield from _level_facts(source)
 
 
-def _finds_heading(source: Results) -> bool:
+def finds_heading(source: Results) -> bool:
+    """Return whether some method of a study finds the heading."""
     return any(METHODS[name].finds_heading for name in source.study.methods)
+
+
+def heading_filters(source: Results) -> list[Any]:
+    """Return the methods of a study that have a covariance of the heading."""
+    methods = (METHODS[name] for name in source.study.methods)
+    return [method for method in methods if method.has_covariance and method.finds_heading]
 
 
 def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
@@ -52,7 +59,7 @@ def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
     if pitch is None or roll is None:
         return caution("unknown, the run is not finite", "Attitude")
     text, sigmas = f"pitch {pitch:.3f}, roll {roll:.3f} deg", [row[name] for name in _LEVEL_SIGMAS]
-    if _finds_heading(source):
+    if finds_heading(source):
         shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
         text = (
             f"no heading, {text}"
@@ -84,9 +91,8 @@ def _level_facts(source: Results) -> Iterator[Fact]:
 
 def attitude_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about the filter's own 1 sigma."""
-    methods = [METHODS[name] for name in source.study.methods]
-    filters = [method for method in methods if method.has_covariance and method.finds_heading]
-    if filters and not all(map(estimates_biases, filters)):
+    estimating = [*map(estimates_biases, heading_filters(source))]
+    if not all(estimating):
         text = "1 sigma is the filter's own and excludes constant biases: add their floor"
         text += " (`sinsjax advise`), or use gravity_fit with fit_gyro_bias_deg_per_h"
         yield caution(text)

@@ -106,9 +106,6 @@ class Report(NamedTuple):
     footer: str = ""
 
 
-# --- terminal; in a pipe the same without colour ------------------------------------------------
-
-
 def print_report(
     report: Report, console: Console, footer: Sequence[str] = (), *, full: bool = False
 ) -> None:
@@ -162,9 +159,6 @@ def _layout_table(
     for row in rows:
         table.add_row(*map(literal_text, row))
     return table
-
-
-# --- Markdown and HTML: no network, no script, no other files -----------------------------------
 
 
 def to_html(title: str, reports: Sequence[tuple[Report, Mapping[str, bytes]]]) -> str:

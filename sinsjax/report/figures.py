@@ -13,11 +13,11 @@ from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import estimates_biases
-from sinsjax.methods.registry import METHODS
 from sinsjax.plots.comparison import MAX_LINES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.maps import MAX_PANELS
+from sinsjax.report.attitude import heading_filters
 from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Picture
 from sinsjax.report.verdict import SweepOutcome
 from sinsjax.study.schema import BIAS_KEYS
@@ -126,7 +126,7 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     for column, caption in captions.items():
         name = "settling_time" if column == settle else "success_rate"
         name += criterion.figure_suffix(source.success_measures[0])
-        yield Picture(name, caption, plots.plot_map(table, *axes, column, **style))
+        yield Picture(name, caption, plots.plot_map(table, axes[0], axes[1], column, **style))
 
 
 def _title(outcome: SweepOutcome) -> str:
@@ -182,9 +182,7 @@ def _consistency(source: Results) -> Iterator[Picture]:
 
 def excludes_biases(source: Results) -> bool:
     """Return whether the sensors have constant biases and no filter has states for them."""
-    methods: list[Any] = [METHODS[name] for name in source.study.methods]
-    filters = [method for method in methods if method.has_covariance and method.finds_heading]
-    if source.study.is_recorded or any(map(estimates_biases, filters)):
+    if source.study.is_recorded or any(map(estimates_biases, heading_filters(source))):
         return False
     given = (value for key in BIAS_KEYS for value in source.study.values(key))
     return bool({*BIAS_KEYS} & {*source.study.drawn_keys}) or any(map(np.any, given))

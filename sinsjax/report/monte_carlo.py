@@ -18,11 +18,11 @@ from sinsjax.analysis.labels import (
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
 from sinsjax.execution.results import Results
-from sinsjax.methods.registry import METHODS
 from sinsjax.report.attitude import (
     attitude_cautions,
     attitude_facts,
     attitude_table,
+    finds_heading,
     last_attitude_table,
 )
 from sinsjax.report.document import MAX_ROWS, Report, Table
@@ -99,16 +99,15 @@ def build_verdict(
     without a heading. The outcome is that of the sweep, if it was found before.
     """
     study, outcome = source.study, outcome or _find_outcome(source)
-    finds_heading = any(METHODS[name].finds_heading for name in study.methods)
     band, doubts = warning_facts(source, warnings_shown=warnings_shown)
     doubts += fit_cautions(source)
-    if outcome and finds_heading and not study.is_recorded:
+    if outcome and finds_heading(source) and not study.is_recorded:
         facts = [*band, *program_facts(outcome), *answer_facts(outcome)]
         facts += [*doubts, *caution_facts(outcome)]
         return Report(study_title(source), facts, condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []
-    if outcome and finds_heading and study.n_variants > 1:
+    if outcome and finds_heading(source) and study.n_variants > 1:
         variant, table = outcome.best_variant, condition_table(outcome)
         judged = [*answer_facts(outcome), *caution_facts(outcome)]
     doubts += attitude_cautions(source)
@@ -129,9 +128,6 @@ def describe_success_criterion(study: Study) -> str:
         f" and the level errors end within {rule.level_band_arcmin:g} arcmin. Bias floor: the"
         " heading error caused by a run's own constant sensor biases."
     )
-
-
-# --- tables -------------------------------------------------------------------------------------
 
 
 def _all_tables(source: Results) -> Iterator[Table]:

@@ -111,20 +111,20 @@ class SweepOutcome:
     @cached_property
     def options(self) -> list[str]:
         """Each option in words."""
-        return [self._describe_option(variant) for variant in self.variants[:, 0].tolist()]
-
-    def _describe_option(self, variant: int) -> str:
-        words: list[str] = []
-        for keys in self.option_axes:
-            for key in keys:
-                value = self.source.study.values(key)[variant]
-                if key == "method":
-                    words.append(format_value(value))
-                elif key not in SCHEDULE_KEYS:
-                    words.append(describe_point({key: value}))
-                elif self._reset_times[variant] or {*keys} <= {*SCHEDULE_KEYS}:
-                    words.append(describe_schedule(self._reset_times[variant]))
-        return ", ".join(dict.fromkeys(words))
+        options = []
+        for variant in self.variants[:, 0].tolist():
+            words, times_s = [], self._reset_times[variant]
+            for keys in self.option_axes:
+                for key in keys:
+                    value = self.source.study.values(key)[variant]
+                    if key == "method":
+                        words.append(format_value(value))
+                    elif key not in SCHEDULE_KEYS:
+                        words.append(describe_point({key: value}))
+                    elif times_s or {*keys} <= {*SCHEDULE_KEYS}:
+                        words.append(describe_schedule(times_s))
+            options.append(", ".join(dict.fromkeys(words)))
+        return options
 
     def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
         """The same in some conditions."""
@@ -240,9 +240,6 @@ class SweepOutcome:
             for found, best in zip((share, mean_s), own, strict=True)
         )
         return f"on draws that did not choose the option, {text}", agrees
-
-
-# --- facts --------------------------------------------------------------------------------------
 
 
 def study_title(source: Results) -> str:
