@@ -17,8 +17,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table as RichTable
 
-from sinsjax.console import literal_text, print_line
-from sinsjax.messages import escape_controls
+from sinsjax.messages import escape_controls, literal_text, print_line
 
 MAX_ROWS = 20
 """Rows of a table; the note counts the rows left out."""

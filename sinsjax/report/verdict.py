@@ -28,11 +28,11 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution.checks import band_warnings
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
-from sinsjax.methods.gravity_fit.method import REFITS
+from sinsjax.methods.gravity_fit import REFITS
 from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Fact, Table, caution
 from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.keys import is_condition_key
