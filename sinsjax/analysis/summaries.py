@@ -252,7 +252,11 @@ def compare_with_baseline(
         raise InputError(f"summary: there are no runs of the baseline {key}")
     offered = _available_statistics(table.column_names)
     statistics = {name: one for name, one in offered.items() if one.difference}
-    statistics["phi_u_error_arcmin"] = _Statistic((_YAW, _FLOOR), mean, difference=_closer)
+    statistics["phi_u_error_arcmin"] = _Statistic(
+        (_YAW, _FLOOR),
+        mean_difference,
+        difference=lambda yaw, floor: mean_difference(*np.abs(np.subtract(yaw, floor))),
+    )
     used = statistics if has_truth(table) else {}
     unknown = {f"{name}_difference": UNKNOWN for name in statistics}
     return Estimates(
@@ -285,8 +289,3 @@ def _differences(
 def _share_difference(flags: tuple[NDArray, NDArray]) -> Estimate:
     """The difference of two shares; unknown unless the flag was recorded in every run."""
     return proportion_difference(*flags) if np.isfinite(flags).all() else UNKNOWN
-
-
-def _closer(yaw: tuple[NDArray, NDArray], floor: tuple[NDArray, NDArray]) -> Estimate:
-    """The difference of two distances of window means from their floors."""
-    return mean_difference(*np.abs(np.subtract(yaw, floor)))

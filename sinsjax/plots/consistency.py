@@ -108,12 +108,12 @@ def plot_belief(
     add_title(figure, title or mean)
     low, high = np.quantile(np.concatenate(every), [0.002, 0.998])
     low, high = float(np.clip(low, 1e-4, 0.05)), float(np.clip(2 * high, 30.0, 1e7))
-    set_log_scale(left.xaxis, low, high)
     at = np.geomspace(low, high, 400)
     name = f"chi-square, {freedom} degree{'s' * (freedom > 1)} of freedom"
     left.plot(at, special.chdtr(freedom, at), "--", color="black", label=name)
     for mark, of in zip(_MARKS, shares, strict=False):
         left.plot([], [], mark, color=GREY, label=f"share {of}")
+    set_log_scale(left.xaxis, low, high)
     error = "heading from the bias floor" if from_floor else "attitude from truth"
     left.set(xlim=(low, high), ylim=(0, 1.02), xlabel=f"NEES at the end, {error}")
     left.set_ylabel("share of runs")

@@ -1,6 +1,7 @@
 """Maps: of runs over two swept keys, `sinsjax.plot_map`, and of a tuning's points."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import combinations, product
 from textwrap import fill
 from typing import Any, NamedTuple
@@ -150,7 +151,8 @@ def _cell_statistic(
         band, *truth = name.removeprefix("settle_").split("_")
         aim = "truth" if "truth" in truth else "bias floor"
         words = f"median time (s) to stay within {band}' of the {aim}"
-        return words, _median_over_draws, "viridis_r"
+        median = partial(np.quantile, q=0.5, axis=-1, method="inverted_cdf")
+        return words, lambda runs: median(np.nan_to_num(runs, nan=np.inf)), "viridis_r"
     if pa.types.is_boolean(column.type):
         words = _FLAGS.get(name, f"{axis_label(name)} (%)")
         return words, lambda runs: 100 * runs.mean(axis=-1), "viridis"
@@ -158,12 +160,6 @@ def _cell_statistic(
         raise InputError(f"plot_map: column {name} has no numbers (give one that has)")
     words = f"rms of {axis_label(name)}"
     return words, lambda runs: np.sqrt((runs**2).mean(axis=-1)), "viridis_r"
-
-
-def _median_over_draws(settle_s: NDArray) -> NDArray:
-    """The median over the draws, the last axis; infinite if fewer than half settled."""
-    times_s = np.nan_to_num(settle_s, nan=np.inf)
-    return np.asarray(np.quantile(times_s, 0.5, axis=-1, method="inverted_cdf"))
 
 
 def _draw_cells(axes: Axes, cells: NDArray, norm: Normalize, colours: str) -> AxesImage:

@@ -21,7 +21,6 @@ from sinsjax.report.attitude import heading_filters
 from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Picture
 from sinsjax.report.verdict import SweepOutcome
 from sinsjax.study.schema import BIAS_KEYS
-from sinsjax.study.study import Study
 from sinsjax.study.success import success_columns
 
 
@@ -29,13 +28,20 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
     """Yield the figures of a study; without a truth only the curves.
 
     With two swept numbers or more there are maps over the first two in the order of the study, a
-    panel for each point of all other keys; with one, or one whose values are lists, curves with
-    intervals.
+    panel for each point of all other keys; with one, or else the first key with lists, such as
+    reset times, curves with intervals.
     """
     yield from _curves_over_time(source)
     if outcome is None:
         return
-    axes, others = figure_axes(source.study)
+    numeric, listed = [], []
+    for (key, *more), values in source.study.axes_shown.items():
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            numeric.append(key)
+        elif not more and all(isinstance(v, tuple) for v in values):
+            listed.append(key)
+    axes = numeric[:2] or listed[:1]
+    others = [key for key in source.study.keys_shown if key not in axes]
     if len(axes) == 2:
         for criterion in source.success_measures:
             yield from _maps(replace(outcome, criterion=criterion), axes, others)
@@ -53,21 +59,6 @@ def describe_intervals(source: Results, quantity: str = "Number", of: str = "dra
         note += f" With fewer than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of"
         note += " skewed values are too narrow."
     return note
-
-
-def figure_axes(study: Study) -> tuple[list[str], list[str]]:
-    """The axes of the study's figures, and all other swept keys.
-
-    They are the first two swept numbers, or else the first key with lists, such as reset times.
-    """
-    numeric, listed = [], []
-    for (key, *more), values in study.axes_shown.items():
-        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-            numeric.append(key)
-        elif not more and all(isinstance(v, tuple) for v in values):
-            listed.append(key)
-    axes = numeric[:2] or listed[:1]
-    return axes, [key for key in study.keys_shown if key not in axes]
 
 
 def _curves_over_time(source: Results) -> Iterator[Picture]:

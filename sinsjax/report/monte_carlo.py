@@ -1,6 +1,6 @@
 """The report of any study: its verdict, its figures, and statistics of its variants."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.report.attitude import (
     attitude_cautions,
@@ -25,7 +26,7 @@ from sinsjax.report.attitude import (
     finds_heading,
     last_attitude_table,
 )
-from sinsjax.report.document import MAX_ROWS, Report, Table
+from sinsjax.report.document import MAX_ROWS, Report, Table, caution
 from sinsjax.report.figures import describe_intervals, draw_figures
 from sinsjax.report.verdict import (
     SweepOutcome,
@@ -35,7 +36,6 @@ from sinsjax.report.verdict import (
     fit_cautions,
     program_facts,
     study_title,
-    warning_facts,
 )
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
@@ -63,19 +63,22 @@ def build_report(
     runs are missing.
     """
     study, outcome = source.study, _find_outcome(source)
-    tables, notes = [], []
+    tables, notes, keys = [], [], study.keys_shown
     if with_tables and (study.is_recorded or outcome is None):
         tables.append(attitude_table(source))
     if with_tables and outcome:
-        tables += _all_tables(source)
-        if text := outcome.held_out[0]:
-            notes.append(
-                f"{text[0].upper()}{text[1:]} (each half of the draws chooses for the other)."
-            )
+        parts: list[Sequence[str]] = [keys]
         if study.n_variants > MAX_ROWS:
-            notes.append(
-                f"{study.n_variants:,} variants: each table has one key and pools the others."
-            )
+            parts = [[key] for key in keys]
+            text = f"{study.n_variants:,} variants: each table has one key and pools the others."
+            notes.append(text)
+        tables += [heading_error_table(source, part) for part in parts]
+        tables += [statistics_table(source, part) for part in parts]
+        if 1 < study.n_variants <= MAX_ROWS and source.draws > 1:
+            tables.append(comparison_table(source))
+        if text := outcome.held_out[0]:
+            end = "(each half of the draws chooses for the other)"
+            notes.append(f"{text[0].upper()}{text[1:]} {end}.")
     return build_verdict(source, outcome, warnings_shown=warnings_shown)._replace(
         tables=tables,
         pictures=[*draw_figures(source, outcome)],
@@ -96,11 +99,14 @@ def build_verdict(
     """Return the report without its figures and tables.
 
     It states the best option if a truth is known, and the attitude on a record, without a truth or
-    without a heading. The outcome is that of the sweep, if it was found before.
+    without a heading. The outcome is that of the sweep, if it was found before. A band out of reach
+    is the first line, also for users who have seen the warnings.
     """
     study, outcome = source.study, outcome or _find_outcome(source)
-    band, doubts = warning_facts(source, warnings_shown=warnings_shown)
-    doubts += fit_cautions(source)
+    bands = [] if study.is_recorded else [*band_warnings(study)]
+    band = [caution(line, "Band") for line in bands]
+    others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
+    doubts = [*(caution(line, "Warning") for line in others), *fit_cautions(source)]
     if outcome and finds_heading(source) and not study.is_recorded:
         facts = [*band, *program_facts(outcome), *answer_facts(outcome)]
         facts += [*doubts, *caution_facts(outcome)]
@@ -128,16 +134,6 @@ def describe_success_criterion(study: Study) -> str:
         f" and the level errors end within {rule.level_band_arcmin:g} arcmin. Bias floor: the"
         " heading error caused by a run's own constant sensor biases."
     )
-
-
-def _all_tables(source: Results) -> Iterator[Table]:
-    """Yield the tables of all variants, or of each key, which pools the others."""
-    study, keys = source.study, source.study.keys_shown
-    parts = [keys] if study.n_variants <= MAX_ROWS else [[key] for key in keys]
-    yield from (heading_error_table(source, part) for part in parts)
-    yield from (statistics_table(source, part) for part in parts)
-    if 1 < study.n_variants <= MAX_ROWS and source.draws > 1:
-        yield comparison_table(source)
 
 
 def _lay_out(

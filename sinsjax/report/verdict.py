@@ -28,7 +28,6 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
@@ -256,17 +255,6 @@ def study_title(source: Results) -> str:
     failed = {kind: status.count(kind) for kind in FAILED if kind in status}
     kinds = f"{sum(failed.values()):,} failed ({', '.join(failed)})" if failed else "none failed"
     return f"{study.name}: {count}, {kinds}"
-
-
-def warning_facts(source: Results, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
-    """Return the warnings of a study: of a band out of reach, which comes first, and all others.
-
-    Those that the user has seen are left out, but for the first.
-    """
-    bands = [] if source.study.is_recorded else [*band_warnings(source.study)]
-    others = () if warnings_shown else source.warnings
-    facts = [caution(line, "Warning") for line in others if line not in bands]
-    return [caution(line, "Band") for line in bands], facts
 
 
 def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
