@@ -98,12 +98,9 @@ def _group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
 
 
 class Grid(NamedTuple):
-    """Runs by the points of some axes, and by draw.
+    """Runs by the points of some axes, and by draw: the row of each run, shape (*axes, draws).
 
-    Attributes:
-        axes: the points of each axis, as values of its keys, by these keys.
-        table: one row per run.
-        rows: row of each run, shape (*axes, draws).
+    The points of each axis are values of its keys, by these keys. The table has one row per run.
     """
 
     axes: dict[tuple[str, ...], list[tuple[Any, ...]]]

@@ -17,26 +17,11 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
-from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
-from sinsjax.report.attitude import (
-    attitude_cautions,
-    attitude_facts,
-    attitude_table,
-    finds_heading,
-    last_attitude_table,
-)
-from sinsjax.report.document import MAX_ROWS, Report, Table, caution
+from sinsjax.report.attitude import attitude_table
+from sinsjax.report.document import MAX_ROWS, Report, Table
 from sinsjax.report.figures import describe_intervals, draw_figures
-from sinsjax.report.verdict import (
-    SweepOutcome,
-    answer_facts,
-    caution_facts,
-    condition_table,
-    fit_cautions,
-    program_facts,
-    study_title,
-)
+from sinsjax.report.verdict import build_verdict, find_outcome
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_columns, success_criteria, success_measures
@@ -59,10 +44,9 @@ def build_report(
 ) -> Report:
     """The verdict and the figures of a study, and all tables if they are wanted.
 
-    ``warnings_shown`` means that the user has seen the study's warnings. Raises `InputError` if
-    runs are missing.
+    ``warnings_shown`` means that the user has seen the study's warnings.
     """
-    study, outcome = source.study, _find_outcome(source)
+    study, outcome = source.study, find_outcome(source)
     tables, notes, keys = [], [], study.keys_shown
     if with_tables and (study.is_recorded or outcome is None):
         tables.append(attitude_table(source))
@@ -85,39 +69,6 @@ def build_report(
         notes=notes,
         footer=f"{study.name}: {study.n_variants:,} × {source.draws:,} runs",
     )
-
-
-def _find_outcome(source: Results) -> SweepOutcome | None:
-    """The outcome of a sweep; None if no run has a truth."""
-    heading = analysis.numeric_column(source.rows([_END]), _END)
-    return SweepOutcome.from_source(source) if np.isfinite(heading).any() else None
-
-
-def build_verdict(
-    source: Results, outcome: SweepOutcome | None = None, *, warnings_shown: bool = False
-) -> Report:
-    """Return the report without its figures and tables.
-
-    It states the best option if a truth is known, and the attitude on a record, without a truth or
-    without a heading. The outcome is that of the sweep, if it was found before. A band out of reach
-    is the first line, also for users who have seen the warnings.
-    """
-    study, outcome = source.study, outcome or _find_outcome(source)
-    bands = [] if study.is_recorded else [*band_warnings(study)]
-    band = [caution(line, "Band") for line in bands]
-    others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
-    doubts = [*(caution(line, "Warning") for line in others), *fit_cautions(source)]
-    if outcome and finds_heading(source) and not study.is_recorded:
-        facts = [*band, *program_facts(outcome), *answer_facts(outcome)]
-        facts += [*doubts, *caution_facts(outcome)]
-        return Report(study_title(source), facts, condition_table(outcome))
-    table = last_attitude_table(source) if source.runs > 1 else None
-    variant, judged = None, []
-    if outcome and finds_heading(source) and study.n_variants > 1:
-        variant, table = outcome.best_variant, condition_table(outcome)
-        judged = [*answer_facts(outcome), *caution_facts(outcome)]
-    doubts += attitude_cautions(source)
-    return Report(study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
 
 
 def describe_success_criterion(study: Study) -> str:

@@ -9,7 +9,7 @@ from sinsjax.analysis.labels import axis_label, format_percent, format_setting, 
 from sinsjax.messages import format_count
 from sinsjax.plots.maps import Points, draw_landscape
 from sinsjax.report.document import Fact, Picture, Report, Table, caution
-from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
@@ -185,17 +185,13 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
     if len(space.combinations) > 1:
         chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
         caption += f". All with {chosen}, the values of the best candidate"
-    variables = dict(_label_and_scale(space.variables[i]) for i in used)
+    variables = {}
+    for variable in (space.variables[i] for i in used):
+        key, entry = variable.key, variable.entry
+        label, bracket, unit = axis_label(key).partition(" (")
+        if entry is not None:
+            label = f"reset {entry + 1} at" if key == TIMES else f"{label}, number {entry + 1}"
+        variables[f"{label}{bracket}{unit}"] = variable.log
     title = f"Best: {_describe_candidate(tuning, tuning.best_search)}"
     figure = draw_landscape(variables, points, ways, marked, title)
     yield Picture("descent", f"{caption}.", figure)
-
-
-def _label_and_scale(variable: Variable) -> tuple[str, bool]:
-    """The label of an axis, and whether it is logarithmic."""
-    name, bracket, unit = axis_label(variable.key).partition(" (")
-    if variable.entry is not None and variable.key == TIMES:
-        name = f"reset {variable.entry + 1} at"
-    elif variable.entry is not None:
-        name = f"{name}, number {variable.entry + 1}"
-    return f"{name}{bracket}{unit}", variable.log

@@ -28,11 +28,18 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.gravity_fit import REFITS
-from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Fact, Table, caution
+from sinsjax.report.attitude import (
+    attitude_cautions,
+    attitude_facts,
+    finds_heading,
+    last_attitude_table,
+)
+from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table, caution
 from sinsjax.study.filter_noise import noise_ratios_by_sensor
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
@@ -241,7 +248,40 @@ class SweepOutcome:
         return f"on draws that did not choose the option, {text}", agrees
 
 
-def study_title(source: Results) -> str:
+def find_outcome(source: Results) -> SweepOutcome | None:
+    """The outcome of a sweep; None if no run has a truth."""
+    heading = analysis.numeric_column(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
+    return SweepOutcome.from_source(source) if np.isfinite(heading).any() else None
+
+
+def build_verdict(
+    source: Results, outcome: SweepOutcome | None = None, *, warnings_shown: bool = False
+) -> Report:
+    """Return the report without its figures and tables.
+
+    It states the best option if a truth is known, and the attitude on a record, without a truth or
+    without a heading. The outcome is that of the sweep, if it was found before. A band out of reach
+    is the first line, also for users who have seen the warnings.
+    """
+    study, outcome = source.study, outcome or find_outcome(source)
+    bands = [] if study.is_recorded else [*band_warnings(study)]
+    band = [caution(line, "Band") for line in bands]
+    others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
+    doubts = [*(caution(line, "Warning") for line in others), *_fit_cautions(source)]
+    if outcome and finds_heading(source) and not study.is_recorded:
+        facts = [*band, *_program_facts(outcome), *_answer_facts(outcome)]
+        facts += [*doubts, *_caution_facts(outcome)]
+        return Report(_study_title(source), facts, _condition_table(outcome))
+    table = last_attitude_table(source) if source.runs > 1 else None
+    variant, judged = None, []
+    if outcome and finds_heading(source) and study.n_variants > 1:
+        variant, table = outcome.best_variant, _condition_table(outcome)
+        judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
+    doubts += attitude_cautions(source)
+    return Report(_study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
+
+
+def _study_title(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")
@@ -251,13 +291,14 @@ def study_title(source: Results) -> str:
         count += f" in {source.wall_s:,.{0 if source.wall_s > 9 else 1}f} s"
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
-    status = source.rows(["status"])["status"].to_pylist()
-    failed = {kind: status.count(kind) for kind in FAILED if kind in status}
-    kinds = f"{sum(failed.values()):,} failed ({', '.join(failed)})" if failed else "none failed"
-    return f"{study.name}: {count}, {kinds}"
+    status = source.rows(["status"])
+    failed = {kind: int(analysis.numeric_column(status, f"status={kind}").sum()) for kind in FAILED}
+    kinds = ", ".join(kind for kind, number in failed.items() if number)
+    text = f"{sum(failed.values()):,} failed ({kinds})" if kinds else "none failed"
+    return f"{study.name}: {count}, {text}"
 
 
-def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the best option, those like it, its rivals, its accuracy and the basis."""
     best, source, criterion = outcome.best, outcome.source, outcome.criterion
     settled, share = np.isfinite(outcome.time_s[best]), format_percent(outcome.success_share(best))
@@ -323,7 +364,7 @@ def _describe_accuracy(outcome: SweepOutcome) -> str:
     return f"{text}, bias floor only {lowest:.1f}'"
 
 
-def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the mean heading error of each program outside sinsjax, and that of the best method.
 
     A run without a result counts 180 deg. The best is that of all draws.
@@ -346,7 +387,7 @@ def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
         yield Fact("Program", text)
 
 
-def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
     best, criterion = outcome.best, outcome.criterion
     text, agrees = outcome.held_out
@@ -380,7 +421,7 @@ def process_noise_caution(source: Results) -> Iterator[Fact]:
         )
 
 
-def fit_cautions(source: Results) -> Iterator[Fact]:
+def _fit_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about fits; about draws, if too large a share of them is doubtful."""
     if "gravity_fit" not in source.study.methods:
         return
@@ -398,7 +439,7 @@ def fit_cautions(source: Results) -> Iterator[Fact]:
             yield caution(f"the fit has {doubt.format(above.max())}{which}")
 
 
-def condition_table(outcome: SweepOutcome) -> Table | None:
+def _condition_table(outcome: SweepOutcome) -> Table | None:
     """The best option at each point of the condition along which its settling varies most."""
     time_s = np.minimum(outcome.time_s[outcome.best], outcome.unsettled_time_s).mean(axis=-1)
     points: dict[tuple[str, ...], dict[tuple[Any, ...], list[int]]] = {}

@@ -12,7 +12,7 @@ from support.synthetic_tables import synthetic_summary
 import sinsjax
 from sinsjax.execution.results import Results
 from sinsjax.methods.gravity_least_squares import Block, FitParams, SensorNoise, solve
-from sinsjax.report.monte_carlo import build_verdict
+from sinsjax.report.verdict import build_verdict
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3
 

@@ -20,10 +20,10 @@ from sinsjax.execution.results import Results
 from sinsjax.execution.tables import replace_column
 from sinsjax.report.monte_carlo import (
     build_report,
-    build_verdict,
     comparison_table,
     statistics_table,
 )
+from sinsjax.report.verdict import build_verdict
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]

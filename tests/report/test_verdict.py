@@ -12,8 +12,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.document import Report
-from sinsjax.report.monte_carlo import build_verdict
-from sinsjax.report.verdict import SweepOutcome, process_noise_caution
+from sinsjax.report.verdict import SweepOutcome, build_verdict, process_noise_caution
 from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
