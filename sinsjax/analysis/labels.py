@@ -10,9 +10,7 @@ from sinsjax.analysis.estimates import Estimate
 from sinsjax.messages import escape_controls
 from sinsjax.units import split_unit
 
-FEW_DRAWS = "few draws"
-"""Words for an end of an interval that the draws are too few to bound."""
-
+FEW_DRAWS = "few draws"  # for an end of an interval that they do not bound
 KEY_NAMES = {
     "phi_e0": "initial level error about east",
     "phi_n0": "initial level error about north",

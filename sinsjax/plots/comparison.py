@@ -23,9 +23,7 @@ from sinsjax.plots.style import (
     with_style,
 )
 
-MAX_LINES = 7
-"""Lines of a figure at most."""
-
+MAX_LINES = 7  # of a figure
 _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _WIDE = 12  # letters of a label that does not fit next to others

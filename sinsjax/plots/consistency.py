@@ -29,9 +29,7 @@ SHARE_COLUMNS = {
 }
 """Columns of the shares of records with P above the squared error."""
 
-NEES_FREEDOM = 3
-"""Degrees of freedom of ``nees``: three angles."""
-
+NEES_FREEDOM = 3  # of ``nees``: three angles
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
 _MARKS = ("o", "s")  # from truth, from the bias floor
 

@@ -31,9 +31,7 @@ from sinsjax.plots.style import (
     with_style,
 )
 
-MAX_LINES = 6
-"""Lines of a figure at most."""
-
+MAX_LINES = 6  # of a figure
 _BAND = (0.025, 0.975)  # quantiles over the draws at its edges
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8  # reset times that are marked
@@ -196,11 +194,7 @@ def _mark_resets(axes: Axes, times_s: Iterable[float]) -> None:
 def _draw_errors(
     ensembles: Sequence[Ensemble], columns: Mapping[str, str], name: str, title: str
 ) -> Figure:
-    """Draw the magnitude of errors next to the filter's 1 sigma, one panel per line and column.
-
-    Each is the rms over the runs, on a logarithmic axis that all panels share. Lines without such
-    an error are left out.
-    """
+    """Draw the rms of errors next to the filter's 1 sigma, a panel per line that has them."""
     shown = [e for e in ensembles if np.isfinite(e.column(next(iter(columns)))).any()]
     if not shown:
         raise InputError(f"plot_curves: no {name} of these runs is known")

@@ -31,9 +31,7 @@ from sinsjax.plots.style import (
     with_style,
 )
 
-MAX_PANELS = 12
-"""Panels of a map at most."""
-
+MAX_PANELS = 12  # of a map
 _NEVER: Any = {"facecolor": "#dcdcdc", "edgecolor": "#b5b5b5", "hatch": "////"}
 _FRAME: Any = {"edgecolor": COLOURS[1], "linewidth": 3.5, "fill": False}
 _FLAGS = {
@@ -143,10 +141,7 @@ def plot_map(
 def _cell_statistic(
     column: pa.ChunkedArray, name: str
 ) -> tuple[str, Callable[[NDArray], NDArray], str]:
-    """The name of a column's statistic, its function of (..., draws), and its colours.
-
-    The colours are light where the value is good.
-    """
+    """The name of the statistic of a column, its function of (..., draws), and its colours."""
     if name.startswith("settle_"):
         band, *truth = name.removeprefix("settle_").split("_")
         aim = "truth" if "truth" in truth else "bias floor"

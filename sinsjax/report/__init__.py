@@ -18,8 +18,7 @@ from sinsjax.report import monte_carlo
 from sinsjax.report.document import Report, print_report, to_html
 from sinsjax.tuning.history import is_tuning
 
-FIGURES_FOLDER = "figures"
-"""Folder of the figures, in the directory of the results."""
+FIGURES_FOLDER = "figures"  # in the directory of the results
 
 
 def print_reports(

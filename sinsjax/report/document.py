@@ -19,12 +19,8 @@ from rich.table import Table as RichTable
 
 from sinsjax.messages import escape_controls, literal_text, print_line
 
-MAX_ROWS = 20
-"""Rows of a table; the note counts the rows left out."""
-
-MIN_DRAWS_FOR_INTERVALS = 16
-"""Draws from which on the coverage of all intervals is measured; below it, notes warn."""
-
+MAX_ROWS = 20  # of a table; the note counts the rows left out
+MIN_DRAWS_FOR_INTERVALS = 16  # whose coverage is measured; below it, notes warn
 _VERDICT_ROWS = 8  # of its table, evenly over the conditions
 _PIPE_WIDTH = 120  # columns of a table in a pipe, unless ``COLUMNS`` is set
 _MARKUP = re.compile(r"[\\`*_\[\]<>#|~$&!]|^[-+=]|(?<=\d)[.)](?= )")
@@ -108,10 +104,7 @@ class Report(NamedTuple):
 def print_report(
     report: Report, console: Console, footer: Sequence[str] = (), *, full: bool = False
 ) -> None:
-    """Print the title, the facts and the table per condition of a report, then the footer.
-
-    ``full`` is for every row of the table, and for all notes and tables.
-    """
+    """Print the verdict of a report, then the footer; in full with all rows, notes and tables."""
     console.print()
     console.print(literal_text(report.title, "bold"))
     grid = RichTable.grid(padding=(0, 2, 0, 0))

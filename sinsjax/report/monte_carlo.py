@@ -111,10 +111,7 @@ def _by(source: Results, keys: Sequence[str]) -> str:
 
 
 def statistics_table(source: Results, keys: Sequence[str]) -> Table:
-    """Return success, settling time and heading error of each group of runs that share some keys.
-
-    There are columns for each criterion of success; a method may have no bias floor.
-    """
+    """Return success, settling time and heading error of the runs that share some keys."""
     study, measures = source.study, source.success_measures
     columns = [_Column("runs", "n", str)]
     for y in dict.fromkeys([*measures, *success_measures(study)]):
