@@ -1,8 +1,8 @@
 """Statistics over the summary table, each with its 95 % interval.
 
-`estimates` computes statistics of some runs and differences between runs on the same noise, whose
-intervals over draws are in `bounds`. `summaries` makes the long table `Estimates` from a whole
-summary, using `tables`. `grids` lays runs out over the axes of a study. `formats` prints estimates.
+`estimates` computes statistics of some runs and differences between runs on the same noise.
+`summaries` makes the long table `Estimates` from a whole summary, using `tables`, which also lays
+runs out over the axes of a study. `labels` has keys and estimates in words.
 """
 
 from sinsjax.analysis.estimates import (
@@ -17,27 +17,24 @@ from sinsjax.analysis.estimates import (
     rms,
     share,
 )
-from sinsjax.analysis.formats import FEW_DRAWS, format_estimate, format_number
+from sinsjax.analysis.labels import format_estimate
 from sinsjax.analysis.summaries import (
-    NEES_FREEDOM,
     Estimates,
     compare_with_baseline,
     estimate_groups,
     summarise,
 )
-from sinsjax.analysis.tables import group_rows, numeric_column, pair_by_draw, status_mask
+from sinsjax.analysis.tables import Grid, group_rows, numeric_column, pair_by_draw
 
 __all__ = [
-    "FEW_DRAWS",
-    "NEES_FREEDOM",
     "UNKNOWN",
     "Estimate",
     "Estimates",
+    "Grid",
     "cluster_ids",
     "compare_with_baseline",
     "estimate_groups",
     "format_estimate",
-    "format_number",
     "group_rows",
     "mean",
     "mean_difference",
@@ -48,6 +45,5 @@ __all__ = [
     "quantile_difference",
     "rms",
     "share",
-    "status_mask",
     "summarise",
 ]

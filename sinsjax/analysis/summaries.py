@@ -24,19 +24,16 @@ from sinsjax.analysis.estimates import (
     share,
 )
 from sinsjax.analysis.tables import (
-    column_values,
     group_rows,
     has_truth,
+    numeric_column,
     pair_by_draw,
     require_column,
-    status_mask,
     to_arrow_table,
     to_key_list,
 )
 from sinsjax.errors import InputError
 
-NEES_FREEDOM = 3
-"""Degrees of freedom of ``nees``: three angles."""
 _YAW, _FLOOR = "phi_u_mean_arcmin", "floor_arcmin"
 _MOST = 180 * 60.0  # arcmin, of a heading error
 _FLAGS = {"ok_floor": "success_floor_rate", "ok_truth": "success_truth_rate"}
@@ -45,20 +42,23 @@ REQUIRED_COLUMNS = ("draw_id", "start_s", "status", "phi_u_arcmin", "has_floor",
 
 
 class _Statistic(NamedTuple):
-    """A statistic: a function of some columns of the runs, perhaps of those with a floor only."""
+    """A statistic of some columns of the runs, perhaps of those with a floor only.
+
+    ``difference`` is that of a group from a baseline, a function of a pair for each column.
+    """
 
     columns: tuple[str, ...]
     estimate: Callable[..., Estimate | int]
     needs_truth: bool = False
     needs_floor: bool = False
+    difference: Callable[..., Estimate] | None = None
 
 
 class Estimates(NamedTuple):
-    """The long table of statistics, one `Estimate` or count per group and statistic.
+    """The long table of statistics: key values and statistics by name, group by group.
 
-    Attributes:
-        groups: key values and statistics by name, group by group; ``n``, ``nonfinite``,
-            ``no_floor`` and ``never_settled_B`` are counts, None if unknown.
+    Each is an `Estimate`; ``n``, ``nonfinite``, ``no_floor`` and ``never_settled_B`` are counts,
+    None if unknown.
     """
 
     groups: list[tuple[dict[str, Any], dict[str, Any]]]
@@ -131,10 +131,10 @@ def estimate_groups(
     if table.num_rows == 0:
         raise InputError("summary: there are no runs to summarise")
     offered = _available_statistics(table.column_names)
-    chosen = list(offered) if names is None else list(names)
-    if unknown := [name for name in chosen if name not in offered]:
+    names = list(offered) if names is None else names
+    if unknown := [name for name in names if name not in offered]:
         raise InputError(f"summary: there is no statistic {unknown[0]} of these columns")
-    statistics = {name: offered[name] for name in chosen}
+    statistics = {name: offered[name] for name in names}
     used = [column.partition("=")[0] for one in statistics.values() for column in one.columns]
     optional = {"has_floor", *CLUSTER_COLUMNS}.intersection(table.column_names)
     used = list(dict.fromkeys([*by, "status", "phi_u_arcmin", *used, *optional]))
@@ -151,51 +151,48 @@ def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[st
         with_floor = rows.filter(pc.fill_null(rows["has_floor"], True))
     found: dict[str, Any] = {
         "n": rows.num_rows,
-        "nonfinite": int(status_mask(rows, "nonfinite").sum()),
+        "nonfinite": int(numeric_column(rows, "status=nonfinite").sum()),
         "no_floor": rows.num_rows - with_floor.num_rows,
     }
-    for name, (columns, estimate, needs_truth, needs_floor) in statistics.items():
-        used = with_floor if needs_floor else rows
-        found[name] = None if estimate is _count_missing else UNKNOWN
-        if used.num_rows and (truth or not needs_truth):
-            values = (column_values(used, column) for column in columns)
-            found[name] = estimate(*values, cluster=cluster_ids(used))
+    for name, one in statistics.items():
+        used = with_floor if one.needs_floor else rows
+        found[name] = None if one.estimate is _count_missing else UNKNOWN
+        if used.num_rows and (truth or not one.needs_truth):
+            values = (numeric_column(used, column) for column in one.columns)
+            found[name] = one.estimate(*values, cluster=cluster_ids(used))
     return found
 
 
 def _available_statistics(columns: Sequence[str]) -> dict[str, _Statistic]:
     """All statistics of a table with these columns, by name."""
+    flags = {"success_rate": "status=ok", "diverged_rate": "status=diverged"}
+    flags |= {_FLAGS[flag]: flag for flag in columns if flag in _FLAGS}
     found = {
-        f"{name}_rate": _Statistic((f"status={status}",), _SHARE, needs_truth=True)
-        for name, status in {"success": "ok", "diverged": "diverged"}.items()
-    }
-    for flag in (name for name in _FLAGS if name in columns):
-        found[_FLAGS[flag]] = _Statistic(
-            (flag,), _SHARE, needs_truth=True, needs_floor=flag == "ok_floor"
+        name: _Statistic(
+            (flag,),
+            _SHARE,
+            needs_truth=True,
+            needs_floor=flag == "ok_floor",
+            difference=None if name == "diverged_rate" else _share_difference,
         )
+        for name, flag in flags.items()
+    }
     for name in (name for name in columns if name.startswith("settle_")):
-        by_end: dict[str, Callable[..., Estimate | int]] = {
-            f"{name}_median": quantile,
-            f"{name}_q90": partial(quantile, q=0.9),
-            f"{name}_mean": partial(mean, limits=(0.0, math.inf)),
-        }
+        times = _Statistic((name,), quantile, True, "_truth_" not in name)
         if not name.endswith("_data_s"):
             count = name.replace("settle_", "never_settled_").removesuffix("_s")
-            by_end = {count: _count_missing} | by_end
-        for end, estimate in by_end.items():
-            found[end] = _Statistic((name,), estimate, True, "_truth_" not in name)
+            found[count] = times._replace(estimate=_count_missing)
+        found[f"{name}_median"] = times._replace(difference=lambda pair: quantile_difference(*pair))
+        found[f"{name}_q90"] = times._replace(estimate=partial(quantile, q=0.9))
+        found[f"{name}_mean"] = times._replace(estimate=partial(mean, limits=(0.0, math.inf)))
     for name in (x for x in columns if x == "phi_u_arcmin" or x.startswith("phi_u_at_")):
         found[f"{name}_rms"] = _Statistic((name,), partial(rms, max_magnitude=_MOST))
-        found[f"{name}_abs_q90"] = _Statistic((name,), partial(_known_quantile, q=0.9, of=np.abs))
-    quantiles = {"q10": 0.1, "median": 0.5, "q90": 0.9}
+        found[f"{name}_abs_q90"] = _Statistic((name,), _magnitude_q90)
+    found["phi_u_mean_arcmin_mean"] = _Statistic((_YAW,), mean)
+    for name, q in {"q10": 0.1, "median": 0.5, "q90": 0.9}.items():
+        of_finite = partial(_of_finite, partial(quantile, q=q))
+        found[f"phi_u_mean_arcmin_{name}"] = _Statistic((_YAW,), of_finite)
     return found | {
-        "phi_u_mean_arcmin_mean": _Statistic((_YAW,), mean),
-        **{
-            f"phi_u_mean_arcmin_{name}": _Statistic(
-                (_YAW,), partial(_of_finite, partial(quantile, q=q))
-            )
-            for name, q in quantiles.items()
-        },
         "phi_u_from_floor_arcmin_mean": _Statistic((_YAW, _FLOOR), mean_difference),
         "phi_u_std_arcmin_mean": _Statistic(("phi_u_std_arcmin",), mean),
         "nees_median": _Statistic(("nees",), _known_quantile),
@@ -217,18 +214,17 @@ def _of_finite(
     return estimate(values[known], cluster=of_known) if known.any() else UNKNOWN
 
 
-def _known_quantile(
-    values: NDArray, cluster: NDArray | None, q: float = 0.5, of: Callable[..., Any] = np.asarray
-) -> Estimate:
-    """A quantile in which a run without a number counts as infinite; unknown if all do."""
-    return quantile(of(values), q, cluster) if np.isfinite(values).any() else UNKNOWN
-
-
 _SHARE = partial(_of_finite, share)
 """The share of runs whose flag is set; unknown if it was not recorded."""
 
 
-# --- paired differences -------------------------------------------------------------------------
+def _known_quantile(values: NDArray, cluster: NDArray | None, q: float = 0.5) -> Estimate:
+    """A quantile in which a run without a number counts as infinite; unknown if all do."""
+    return quantile(values, q, cluster) if np.isfinite(values).any() else UNKNOWN
+
+
+def _magnitude_q90(values: NDArray, cluster: NDArray | None) -> Estimate:
+    return _known_quantile(np.abs(values), cluster, 0.9)
 
 
 def compare_with_baseline(
@@ -243,13 +239,8 @@ def compare_with_baseline(
     window mean of phi_u from its floor, by draw; mean). All are unknown without truth or reference,
     and all ends of intervals for runs on a record.
 
-    Args:
-        table: the summary, one row per run.
-        by: key columns as for `group_rows`; one run per draw in each group.
-        baseline: key values of the group to compare with.
-
-    Returns:
-        The groups but the baseline, by first appearance; ``n`` is the number of draws.
+    Keys are those of `group_rows`, with one run per draw in each group; the baseline is a group by
+    its key values, and left out. ``n`` is the number of draws.
 
     Raises:
         InputError: no runs, no such baseline, a missing column, or draws that differ or repeat.
@@ -259,51 +250,42 @@ def compare_with_baseline(
     base = next((rows for group, rows in groups if group == key), None)
     if base is None:
         raise InputError(f"summary: there are no runs of the baseline {key}")
-    truth = has_truth(table)
+    offered = _available_statistics(table.column_names)
+    statistics = {name: one for name, one in offered.items() if one.difference}
+    statistics["phi_u_error_arcmin"] = _Statistic(
+        (_YAW, _FLOOR),
+        mean_difference,
+        difference=lambda yaw, floor: mean_difference(*np.abs(np.subtract(yaw, floor))),
+    )
+    used = statistics if has_truth(table) else {}
+    unknown = {f"{name}_difference": UNKNOWN for name in statistics}
     return Estimates(
         [
-            (group, {"n": rows.num_rows} | _differences(rows, base, truth=truth))
+            (group, {"n": rows.num_rows} | unknown | _differences(rows, base, used))
             for group, rows in groups
             if rows is not base
         ]
     )
 
 
-def _differences(rows: pa.Table, base: pa.Table, *, truth: bool) -> dict[str, Estimate]:
-    """The differences of a group from the baseline, by name."""
-    clusters = cluster_ids(rows)
+def _differences(
+    rows: pa.Table, base: pa.Table, statistics: Mapping[str, _Statistic]
+) -> dict[str, Estimate]:
+    """The known differences of a group from the baseline, by name."""
+    clusters, found = cluster_ids(rows), {}
     is_recorded = clusters is not None and np.unique(clusters).size < rows.num_rows
     flags = [t["has_floor"] for t in (rows, base) if "has_floor" in t.column_names]
     with_floor = all(pc.all(pc.fill_null(flag, True)).as_py() for flag in flags)
-
-    def differ(
-        difference: Callable[..., Estimate], *columns: str, needs_floor: bool = False
-    ) -> Estimate:
-        pairs = [pair_by_draw(rows, base, column) for column in columns]
-        if not truth or (needs_floor and not with_floor):
-            return UNKNOWN
-        found = difference(*pairs)
-        return found._replace(low=math.nan, high=math.nan) if is_recorded else found
-
-    found = {"success_rate_difference": differ(_share_difference, "status=ok")}
-    for name in rows.column_names:
-        if name in _FLAGS:
-            needs_floor = name == "ok_floor"
-            found[f"{_FLAGS[name]}_difference"] = differ(
-                _share_difference, name, needs_floor=needs_floor
-            )
-        if name.startswith("settle_"):
-            found[f"{name}_median_difference"] = differ(
-                lambda pair: quantile_difference(*pair), name, needs_floor="_truth_" not in name
-            )
-    return found | {"phi_u_error_arcmin_difference": differ(_closer, _YAW, _FLOOR)}
+    for name, one in statistics.items():
+        pairs = [pair_by_draw(rows, base, column) for column in one.columns]
+        if one.difference and (with_floor or not one.needs_floor):
+            estimate = one.difference(*pairs)
+            if is_recorded:
+                estimate = estimate._replace(low=math.nan, high=math.nan)
+            found[f"{name}_difference"] = estimate
+    return found
 
 
 def _share_difference(flags: tuple[NDArray, NDArray]) -> Estimate:
     """The difference of two shares; unknown unless the flag was recorded in every run."""
     return proportion_difference(*flags) if np.isfinite(flags).all() else UNKNOWN
-
-
-def _closer(yaw: tuple[NDArray, NDArray], floor: tuple[NDArray, NDArray]) -> Estimate:
-    """The difference of two distances of window means from their floors."""
-    return mean_difference(*np.abs(np.subtract(yaw, floor)))

@@ -1,7 +1,7 @@
-"""Access to a summary: columns as numbers, groups of runs, runs paired by draw."""
+"""Access to a summary: columns as numbers, groups of runs, pairs by draw, and grids over axes."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -12,11 +12,7 @@ from sinsjax.errors import InputError
 
 
 def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
-    """A column of a table.
-
-    Raises:
-        InputError: it is missing.
-    """
+    """A column of a table; `InputError` if it is missing."""
     if name not in table.column_names:
         raise InputError(f"summary: column {name} is missing")
     return table[name]
@@ -25,19 +21,16 @@ def require_column(table: pa.Table, name: str) -> pa.ChunkedArray:
 def numeric_column(table: pa.Table, column: str) -> NDArray:
     """A numeric column as float64, shape (rows,); null becomes NaN.
 
+    The column ``status=ok`` is whether each run ended with this status, 0 or 1.
+
     Raises:
         InputError: the column is missing.
     """
-    return require_column(table, column).cast(pa.float64()).to_numpy()
-
-
-def status_mask(table: pa.Table, status: str) -> NDArray:
-    """Return which runs ended with a status, shape (rows,), bool; null is no status.
-
-    Raises:
-        InputError: the column ``status`` is missing.
-    """
-    return pc.equal(require_column(table, "status"), status).fill_null(False).to_numpy()
+    name, _, status = column.partition("=")
+    values = require_column(table, name)
+    if status:
+        values = pc.equal(values, status).fill_null(False)
+    return values.cast(pa.float64()).to_numpy()
 
 
 def has_truth(table: pa.Table) -> bool:
@@ -45,24 +38,16 @@ def has_truth(table: pa.Table) -> bool:
 
     Without one every misalignment is null. That of the heading also is if no run is finite, or if
     the method finds no heading.
-
-    Raises:
-        InputError: a column is missing.
     """
     known = bool(np.isfinite(numeric_column(table, "phi_u_arcmin")).any())
-    return known or any(status_mask(table, name).any() for name in ("nonfinite", "no_north"))
+    failed = (numeric_column(table, f"status={name}") for name in ("nonfinite", "no_north"))
+    return known or any(each.any() for each in failed)
 
 
 def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArray]:
-    """One column of two tables, paired by draw.
+    """One column of two tables with one row per draw, each in ascending order of ``draw_id``.
 
-    Args:
-        a: one row per draw, with ``draw_id``.
-        b: the same draws, in any order.
-        column: a numeric column of both, or ``status=ok`` for the runs with this status.
-
-    Returns:
-        The column in a and in b, each in ascending order of ``draw_id``; null is NaN.
+    The column is as for `numeric_column`.
 
     Raises:
         InputError: a missing column, a repeated draw, or draws that differ.
@@ -74,30 +59,22 @@ def pair_by_draw(a: pa.Table, b: pa.Table, column: str) -> tuple[NDArray, NDArra
         raise InputError("summary: draw_id repeats, so runs cannot be paired by draw")
     if not np.array_equal(draws, others):
         raise InputError("summary: the draws differ, so runs cannot be paired by draw")
-    return column_values(a, column)[first], column_values(b, column)[second]
-
-
-def column_values(table: pa.Table, column: str) -> NDArray:
-    """A column as numbers, or for ``status=ok`` whether each run has this status."""
-    _, _, status = column.partition("=")
-    return status_mask(table, status) if status else numeric_column(table, column)
+    return numeric_column(a, column)[first], numeric_column(b, column)[second]
 
 
 def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pa.Table]]:
-    """Split a table by the values of some columns.
+    """Split a table by the values of some columns, into groups by first appearance.
 
-    Args:
-        table: any table.
-        by: key columns of any type, including lists; null is a key like any other. Without
-            columns there is one group.
+    Keys are of any type, including lists; null is a key like any other. Without keys there is one
+    group.
 
     Yields:
-        The key values and the group's rows in their order; groups by first appearance.
+        The key values and the group's rows in their order.
 
     Raises:
         InputError: a key column is missing.
     """
-    number = group_numbers(table, by)
+    number = _group_numbers(table, by)
     ordered, start = table.take(np.argsort(number, kind="stable")), 0
     for size in np.bincount(number).tolist():
         rows = ordered.slice(start, size)
@@ -105,7 +82,7 @@ def group_rows(table: pa.Table, by: Sequence[str]) -> Iterator[tuple[dict[str, A
         start += size
 
 
-def group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
+def _group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
     """The number of the group of each row, by first appearance, see `group_rows`; (rows,)."""
     number = np.zeros(table.num_rows, dtype=np.int64)
     for name in by:
@@ -120,17 +97,55 @@ def group_numbers(table: pa.Table, by: Sequence[str]) -> NDArray:
     return number
 
 
+class Grid(NamedTuple):
+    """Runs by the points of some axes, and by draw: the row of each run, shape (*axes, draws).
+
+    The points of each axis are values of its keys, by these keys. The table has one row per run.
+    """
+
+    axes: dict[tuple[str, ...], list[tuple[Any, ...]]]
+    table: pa.Table
+    rows: NDArray
+
+    @classmethod
+    def from_table(cls, table: pa.Table, *axes: Sequence[str]) -> "Grid":
+        """Lay the runs of a table, ordered by draw within each variant, out over axes.
+
+        Axes are given by their keys; runs that differ in other keys alone share a point. Points are
+        in the order of their first appearance.
+
+        Raises:
+            InputError: a key is missing, or the points do not have as many runs each.
+        """
+        numbers = [_group_numbers(table, keys) for keys in axes]
+        points = {
+            tuple(keys): [
+                tuple(table[key][row].as_py() for key in keys)
+                for row in np.unique(number, return_index=True)[1].tolist()
+            ]
+            for keys, number in zip(axes, numbers, strict=True)
+        }
+        shape = tuple(map(len, points.values()))
+        place = np.ravel_multi_index(numbers, shape)
+        if np.ptp(np.bincount(place, minlength=np.prod(shape))):
+            raise InputError(
+                f"{', '.join(key for keys in axes for key in keys)}: the runs form no full grid of"
+                " these keys with equally many runs per cell (name the other varying keys in `by`)"
+            )
+        return cls(points, table, np.argsort(place, kind="stable").reshape(*shape, -1))
+
+    def column(self, name: str) -> NDArray:
+        """A column as numbers, shape (*axes, draws); null is NaN."""
+        return numeric_column(self.table, name)[self.rows]
+
+
 def to_key_list(by: str | Sequence[str]) -> list[str]:
     """A key, or several, as a list."""
     return [by] if isinstance(by, str) else list(by)
 
 
 def to_arrow_table(runs: Any) -> pa.Table:
-    """Return runs as a table: an Arrow table unchanged, a pandas data frame without its index.
-
-    Raises:
-        InputError: they are neither.
-    """
+    """Return an Arrow table unchanged, a pandas frame without its index; else `InputError`."""
     if isinstance(runs, pa.Table):
         return runs
     if hasattr(runs, "to_numpy") and hasattr(runs, "columns"):

@@ -20,7 +20,7 @@ def gain_tables(
     import numpy as np
 
     from sinsjax.methods import compass as loops
-    from sinsjax.report.base import Table
+    from sinsjax.report.document import Table
 
     earth = {"gravity": gravity, "radius": radius}
     level = loops.level_gains(level_sigma, damping, **earth)
@@ -105,7 +105,7 @@ def gains(
         if not 0 < value < (1 if option == "--damping" else math.inf):
             below = " and below 1" if option == "--damping" else ""
             raise InputError(f"{option}: must be above 0{below}, not {value:g}")
-    from sinsjax.report.terminal import print_table
+    from sinsjax.report.document import print_table
 
     tables = gain_tables(level_sigma, azimuth_sigma, damping, gravity=gravity, radius=radius)
     for table in tables:

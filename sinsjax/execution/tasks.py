@@ -276,7 +276,7 @@ def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
     column, widest = interim_columns(study)[-1], 0.0
     for _, runs in analysis.group_rows(rows, ["variant_id"]):
         if column == "status":
-            estimate = analysis.share(analysis.status_mask(runs, "ok"))
+            estimate = analysis.share(analysis.numeric_column(runs, "status=ok"))
         else:
             estimate = analysis.mean(analysis.numeric_column(runs, column))
         half = (estimate.high - estimate.low) / 2

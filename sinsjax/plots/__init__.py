@@ -4,23 +4,19 @@ Every function returns a new matplotlib `Figure`; `render_png` converts it to by
 on the figure. Nothing here changes matplotlib's global state.
 """
 
-from sinsjax.plots.comparison import draw_along_axis, plot_compare
+from sinsjax.plots.comparison import plot_compare
 from sinsjax.plots.consistency import plot_belief
 from sinsjax.plots.curves import draw_mean_and_band, group_curves, plot_curves
-from sinsjax.plots.labels import axis_label, format_setting
 from sinsjax.plots.maps import plot_map
 from sinsjax.plots.style import COLOURS, render_png
 
 __all__ = [
     "COLOURS",
-    "draw_along_axis",
     "draw_mean_and_band",
     "group_curves",
-    "axis_label",
     "plot_belief",
     "plot_compare",
     "plot_curves",
     "plot_map",
     "render_png",
-    "format_setting",
 ]

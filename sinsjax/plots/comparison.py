@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sinsjax.analysis import UNKNOWN, Estimate, estimate_groups, group_rows
+from sinsjax.analysis import UNKNOWN, estimate_groups, group_rows
+from sinsjax.analysis.labels import axis_label, describe_point, format_value
 from sinsjax.analysis.tables import to_arrow_table, to_key_list
-from sinsjax.plots.labels import axis_label, describe_point, format_value
 from sinsjax.plots.style import (
     GREY,
     add_legend_below,
@@ -23,18 +23,14 @@ from sinsjax.plots.style import (
     with_style,
 )
 
-MAX_LINES = 7
-"""Lines of a figure at most."""
-
-Panel = Mapping[str, Sequence[Estimate]]
-"""Estimates of a panel by the label of the line, one per value of the key."""
-
+MAX_LINES = 7  # of a figure
 _MARKS = "os^Dv*P"
 _DODGE = 0.008  # share of the axis by which the marks of two lines are offset to remain visible
 _WIDE = 12  # letters of a label that does not fit next to others
 _RANGE = 30.0  # largest over smallest value, beyond which an axis is logarithmic
 
 
+@with_style
 def plot_compare(
     runs: Any,
     key: str,
@@ -45,7 +41,8 @@ def plot_compare(
 ) -> Figure:
     """Draw statistics of the runs along one swept key, with 95 % intervals, one line per variant.
 
-    Panels without finite values are left out. Of many lines the first 7 are drawn.
+    Infinite estimates are marked at the upper edge as *never*. Panels without finite values are
+    left out. Of many lines the first 7 are drawn.
 
     Args:
         runs: one row per run: a pyarrow Table such as `Results.summary`, or a pandas data frame.
@@ -71,36 +68,43 @@ def plot_compare(
         >>> [axes.get_title(loc="left") for axes in figure.axes]
         ['heading error at the end, rms (arcmin)']
     """
-    values, panels = build_comparison_panels(runs, key, to_key_list(by), statistics)
-    return draw_along_axis(key, values, panels, title)
-
-
-def build_comparison_panels(
-    runs: Any, key: str, by: Sequence[str], statistics: Mapping[str, str] | None = None
-) -> tuple[list[Any], dict[str, Panel]]:
-    """Return the values of a key and the panels of `plot_compare`, with the same arguments."""
     table = to_arrow_table(runs)
-    titles = _default_statistics(table) if statistics is None else dict(statistics)
-    groups_by_line = {
+    titles = _default_statistics(table) if statistics is None else statistics
+    lines = {
         describe_point(point): estimate_groups(rows, [key], list(titles)).groups
-        for point, rows in islice(group_rows(table, by), MAX_LINES)
+        for point, rows in islice(group_rows(table, to_key_list(by)), MAX_LINES)
     }
     values: list[Any] = []
-    for groups in sorted(groups_by_line.values(), key=len, reverse=True):
+    for groups in sorted(lines.values(), key=len, reverse=True):
         values += [point[key] for point, _ in groups if point[key] not in values]
-    panels: dict[str, Panel] = {}
-    for statistic, words in titles.items():
-        scale = 100 if statistic.endswith("_rate") else 1
-        panels[words] = lines = {}
-        for name, groups in groups_by_line.items():
-            at = {values.index(point[key]): found[statistic] for point, found in groups}
-            # A schedule by the law of resets has other times at each value: a line for each.
-            found = [at.get(place, UNKNOWN) for place in range(len(values))]
-            lines[name] = [
-                Estimate(scale * v, scale * low, scale * high, n) for v, low, high, n in found
-            ]
-    known = {words: panel for words, panel in panels.items() if np.isfinite(_values(panel)).any()}
-    return values, known or panels
+    panels = {name: np.full((len(lines), len(values), 3), UNKNOWN[:3]) for name in titles}
+    # A schedule by the law of resets has other times at each value, so no line has all values.
+    for line, groups in enumerate(lines.values()):
+        for point, found in groups:
+            for name, panel in panels.items():
+                scale = 100 if name.endswith("_rate") else 1
+                panel[line, values.index(point[key])] = np.multiply(scale, found[name][:3])
+    known = {name: panel for name, panel in panels.items() if np.isfinite(panel[..., 0]).any()}
+    panels = known or panels
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    x = np.asarray(values, dtype=float) if numeric else np.arange(len(values))
+    figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
+    add_title(figure, title)
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, panel) in zip(grid, panels.items(), strict=True):
+        _draw_panel(axes, list(lines), panel, x, "-" if numeric else "")
+        axes.set_title(titles[name], loc="left", size="medium")
+        if name.endswith("_rate"):
+            axes.set_ylim(-4, 104)
+    words = [format_value(value) for value in values]
+    if not numeric or np.diff(np.sort(x)).min(initial=np.inf) > 0.06 * np.ptp(x):
+        turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
+        grid[-1].set_xticks(x, words, **turned)
+    grid[-1].set_xlabel(axis_label(key))
+    if any(np.isposinf(panel[..., 0]).any() for panel in panels.values()):
+        grid[0].plot([], [], "x", color=GREY, label="never (median)")
+    add_legend_below(figure, grid[0])
+    return figure
 
 
 def _default_statistics(table: pa.Table) -> dict[str, str]:
@@ -115,48 +119,10 @@ def _default_statistics(table: pa.Table) -> dict[str, str]:
     return found | {"phi_u_arcmin_rms": "heading error at the end, rms (arcmin)"}
 
 
-def _values(panel: Panel) -> NDArray:
-    """Return the values of a panel, (lines, values of the key)."""
-    return np.array([[estimate.value for estimate in line] for line in panel.values()])
-
-
-@with_style
-def draw_along_axis(
-    key: str, values: Sequence[Any], panels: Mapping[str, Panel], title: str = ""
-) -> Figure:
-    """Draw estimates with their 95 % intervals along one swept key.
-
-    Args:
-        key: leaf key, with the unit in its name.
-        values: values of the key; words and lists are placed side by side.
-        panels: by quantity, with its unit; infinite estimates are marked at the upper edge as
-            *never*.
-        title: title of the figure.
-    """
-    figure = Figure(figsize=(9.2, 1.2 + 2.2 * len(panels)))
-    add_title(figure, title)
-    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    x = np.asarray(values, dtype=float) if numeric else np.arange(len(values))
-    for axes, (name, lines) in zip(grid, panels.items(), strict=True):
-        _draw_panel(axes, lines, x, "-" if numeric else "")
-        axes.set_title(name, loc="left", size="medium")
-        if "(%)" in name:
-            axes.set_ylim(-4, 104)
-    words = [format_value(value) for value in values]
-    if not numeric or np.diff(np.sort(x)).min(initial=np.inf) > 0.06 * np.ptp(x):
-        turned = {"rotation": 20, "ha": "right"} if max(map(len, words)) > _WIDE else {}
-        grid[-1].set_xticks(x, words, **turned)
-    grid[-1].set_xlabel(axis_label(key))
-    if any(np.isposinf(_values(panel)).any() for panel in panels.values()):
-        grid[0].plot([], [], "x", color=GREY, label="never (median)")
-    add_legend_below(figure, grid[0])
-    return figure
-
-
-def _draw_panel(axes: Axes, lines: Panel, x: NDArray, joined: str) -> None:
-    """Draw the lines of a panel."""
-    estimates = np.array([[e[:3] for e in line] for line in lines.values()], dtype=float)
+def _draw_panel(
+    axes: Axes, lines: Sequence[str], estimates: NDArray, x: NDArray, joined: str
+) -> None:
+    """Draw the lines of a panel: estimates and ends of their intervals, (lines, values, 3)."""
     value = np.where(np.isfinite(estimates[..., 0]), estimates[..., 0], np.nan)
     ends = np.stack([value - estimates[..., 1], estimates[..., 2] - value])
     bars = np.maximum(np.nan_to_num(ends, posinf=0.0, neginf=0.0), 0.0)

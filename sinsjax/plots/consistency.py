@@ -8,10 +8,9 @@ from matplotlib.figure import Figure
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import NEES_FREEDOM
+from sinsjax.analysis.labels import describe_point
 from sinsjax.analysis.tables import to_arrow_table, to_key_list
 from sinsjax.errors import InputError
-from sinsjax.plots.labels import describe_point
 from sinsjax.plots.style import (
     GREY,
     add_legend_below,
@@ -30,10 +29,9 @@ SHARE_COLUMNS = {
 }
 """Columns of the shares of records with P above the squared error."""
 
+NEES_FREEDOM = 3  # of ``nees``: three angles
 _WITHIN_SIGMA = float(special.erf(0.5**0.5))  # share of a normal variable within 1 sigma
-_FAR = (1e-4, 1e7)  # widest range of the NEES axis
 _MARKS = ("o", "s")  # from truth, from the bias floor
-_BELOW = 0.2  # distance of name and marks from the middle of their line, in lines
 
 
 @with_style
@@ -74,6 +72,7 @@ def plot_belief(
         'Mean NEES 3, where a consistent filter has 3'
     """
     column, freedom = NEES_COLUMNS[from_floor], 1 if from_floor else NEES_FREEDOM
+    shares = dict([*SHARE_COLUMNS.items()][from_floor:])
     lines = {
         describe_point(point): (rows, np.sort(analysis.numeric_column(rows, column)))
         for point, rows in analysis.group_rows(to_arrow_table(runs), to_key_list(by))
@@ -83,33 +82,30 @@ def plot_belief(
         raise InputError(
             f"plot_belief: no run has a finite {column} (only filters have a covariance)"
         )
-    every = [nees[np.isfinite(nees)] for _, nees in lines.values()]
-    means = sorted(float(nees.mean()) for nees in every)
-    words = dict.fromkeys(f"{m:,.0f}" if m >= 10 else f"{m:.2g}" for m in (means[0], means[-1]))
-    of_heading = " of the heading, from the bias floor:" if from_floor else ""
-    mean = f"Mean NEES{of_heading} {' to '.join(words)}, where a consistent filter has {freedom}"
     figure = Figure(figsize=(9.2, 4.4 + 0.3 * max(len(lines) - 3, 0)))
-    add_title(figure, title or mean)
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    shares = dict([*SHARE_COLUMNS.items()][from_floor:])
+    every = []
     for i, (label, (rows, nees)) in enumerate(lines.items()):
         colour, known = line_colour(i), nees[np.isfinite(nees)]
+        every.append(known)
         below = np.arange(known.size + 1) / nees.size  # one that is not finite counts
-        width = 3.2 - 0.35 * i
-        steps = np.append(known[:1], known)
-        left.step(steps, below, where="post", color=colour, linewidth=width, label=label)
-        right.text(0.0, i - _BELOW, label, color=colour, fontsize=8.5, va="center")
+        style: Any = {"where": "post", "color": colour, "linewidth": max(3.2 - 0.35 * i, 0.8)}
+        left.step(np.append(known[:1], known), below, label=label, **style)
+        right.text(0.0, i - 0.2, label, color=colour, fontsize=8.5, va="center")
         for j, (mark, name) in enumerate(zip(_MARKS, shares.values(), strict=False)):
             records, clusters = analysis.numeric_column(rows, name), analysis.cluster_ids(rows)
             value, low, high, _ = analysis.mean(records, clusters, limits=(0.0, 1.0))
             bar = np.maximum(np.nan_to_num([[value - low], [high - value]]), 0.0)
-            place = i + _BELOW + 0.12 * (2 * j - len(shares) + 1)
-            style: Any = {"color": colour, "capsize": 2.5, "markersize": 6, "fmt": mark}
+            place = i + 0.2 + 0.12 * (2 * j - len(shares) + 1)
+            style = {"color": colour, "capsize": 2.5, "markersize": 6, "fmt": mark}
             right.errorbar([value], [place], xerr=bar, **style)
-    positive = np.concatenate(every)
-    positive = positive[positive > 0]
-    low, high = np.quantile(positive, [0.002, 0.998]) if positive.size else (1.0, 1.0)
-    low, high = max(min(low, 0.05), _FAR[0]), min(max(2 * high, 30.0), _FAR[1])
+    means = [float(nees.mean()) for nees in every]
+    words = (f"{m:,.0f}" if m >= 10 else f"{m:.2g}" for m in (min(means), max(means)))
+    mean = "Mean NEES of the heading, from the bias floor:" if from_floor else "Mean NEES"
+    mean += f" {' to '.join(dict.fromkeys(words))}, where a consistent filter has {freedom}"
+    add_title(figure, title or mean)
+    low, high = np.quantile(np.concatenate(every), [0.002, 0.998])
+    low, high = float(np.clip(low, 1e-4, 0.05)), float(np.clip(2 * high, 30.0, 1e7))
     at = np.geomspace(low, high, 400)
     name = f"chi-square, {freedom} degree{'s' * (freedom > 1)} of freedom"
     left.plot(at, special.chdtr(freedom, at), "--", color="black", label=name)

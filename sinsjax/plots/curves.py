@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sinsjax.analysis.labels import axis_label, describe_point
 from sinsjax.analysis.tables import (
     group_rows,
     numeric_column,
@@ -21,7 +22,6 @@ from sinsjax.analysis.tables import (
     to_key_list,
 )
 from sinsjax.errors import InputError
-from sinsjax.plots.labels import axis_label, describe_point
 from sinsjax.plots.style import (
     GREY,
     add_legend_below,
@@ -31,21 +31,15 @@ from sinsjax.plots.style import (
     with_style,
 )
 
-MAX_LINES = 6
-"""Lines of a figure at most."""
-
+MAX_LINES = 6  # of a figure
 _BAND = (0.025, 0.975)  # quantiles over the draws at its edges
 _MOST_DRAWS = 256  # in a line's band
 _MOST_MOMENTS = 8  # reset times that are marked
-_STACKED = 3  # panels at most in a single column
 _LETTERS = {1: 64, 2: 34}  # of a line of a panel's title, by the number of columns
 _LEAST_FLOOR = 0.01  # arcmin; a smaller bias floor is not drawn
 _DIPS = 0.01  # quantile of the errors below which an axis of magnitudes ends
 _SPIKES = (0.05, 0.95)  # quantiles over time of a band of 1 sigma that an axis covers
-_FAINT: Any = {"alpha": 0.22, "linewidth": 0}  # of a band
-_BAND_NAME = "95 % of the runs"
-_HEADING, _LEVEL = ("phi_u_arcmin",), ("phi_e_arcmin", "phi_n_arcmin")
-_COMPONENTS = {"phi_e_arcmin": "east", "phi_n_arcmin": "north"}
+_HEADING, _LEVEL = {"phi_u_arcmin": ""}, {"phi_e_arcmin": "east", "phi_n_arcmin": "north"}
 _SIGMAS = {
     "pitch_deg": "sigma_e_arcmin",
     "roll_deg": "sigma_n_arcmin",
@@ -54,14 +48,9 @@ _SIGMAS = {
 
 
 class Ensemble(NamedTuple):
-    """Curves of several runs, drawn as one line with its band.
+    """Curves of several runs, drawn as one line with its band: (T,) times, (runs, T) by column.
 
-    Attributes:
-        label: label in the legend.
-        time_s: (T,) record times, s.
-        columns: column name to values, (runs, T).
-        floor_arcmin: rms bias floor of the runs that have one; NaN if none does.
-        resets_s: reset times to mark.
+    The bias floor is the rms of the runs that have one; reset times are marked.
     """
 
     label: str
@@ -76,36 +65,33 @@ class Ensemble(NamedTuple):
 
 
 def group_curves(curves: pa.Table, runs_by_line: Mapping[str, Iterable[int]]) -> list[Ensemble]:
-    """Arrange curves by run and record time.
-
-    Args:
-        curves: one row per run and record time, ordered by run_id and time.
-        runs_by_line: label to the runs of a line.
-    """
+    """Arrange curves, ordered by run_id and time, by the runs of each line."""
     grouped = []
     for name, run_ids in runs_by_line.items():
         rows = curves.filter(pc.field("run_id").isin(sorted(run_ids)))
         count = pc.count_distinct(rows["run_id"]).as_py()
-        columns = {
-            column: numeric_column(rows, column).reshape(count, -1)
-            for column in rows.column_names
-            if column != "run_id"
-        }
+        names = [column for column in rows.column_names if column != "run_id"]
+        columns = {column: numeric_column(rows, column).reshape(count, -1) for column in names}
         grouped.append(Ensemble(name, columns.pop("time_s")[0], columns))
     return grouped
+
+
+def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
+    """Return the runs of each line that `plot_curves` draws, by its name, of a summary."""
+    keys = list(dict.fromkeys(["run_id", *by]))
+    columns = pa.table([require_column(summary, key) for key in keys], names=keys)
+    lines = islice(group_rows(columns, by), MAX_LINES)
+    return {
+        describe_point(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines
+    }
 
 
 def draw_mean_and_band(
     axes: Axes, label: str, time_s: NDArray, values: NDArray, colour: str
 ) -> None:
-    """Draw the mean over some runs, and the band that contains 95 % of them.
+    """Draw the mean over some runs, (runs, T), and the band that contains 95 % of them.
 
-    Args:
-        axes: axes to draw on.
-        label: label of the line.
-        time_s: (T,) times, s.
-        values: (runs, T) values; times at which a run has none are omitted.
-        colour: colour of the line and its band.
+    Times at which a run has no value are omitted.
     """
     known = np.isfinite(values).all(axis=0)
     axes.plot(time_s[known], values[:, known].mean(axis=0), color=colour, label=label)
@@ -117,7 +103,8 @@ def _draw_band(axes: Axes, time_s: NDArray, values: NDArray, colour: str, label:
     known = np.isfinite(values).all(axis=0)
     if len(values) > 1 and known.any():
         edges = np.quantile(values[:, known], _BAND, axis=0)
-        axes.fill_between(time_s[known], *edges, color=colour, label=label or None, **_FAINT)
+        style: Any = {"color": colour, "label": label or None, "alpha": 0.22, "linewidth": 0}
+        axes.fill_between(time_s[known], *edges, **style)
 
 
 def plot_curves(
@@ -168,41 +155,27 @@ def plot_curves(
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
     ensembles = [
-        _with_marks(one, summary.filter(pc.is_in(summary["run_id"], pa.array(lines[one.label]))))
+        _with_marks(one, summary.filter(pc.field("run_id").isin(lines[one.label])))
         for one in group_curves(table, lines)
     ]
     if not known:
-        return draw_attitude(ensembles, title or "Attitude")
-    has_heading = any(np.isfinite(e.column(*_HEADING)).any() for e in ensembles)
-    return draw_errors(ensembles, title, level=level or not has_heading)
-
-
-def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[int]]:
-    """Return the runs of each line that `plot_curves` draws, by its name.
-
-    Args:
-        summary: one row per run, with ``run_id`` and the keys.
-        by: keys of the lines.
-    """
-    keys = list(dict.fromkeys(["run_id", *by]))
-    columns = pa.table([require_column(summary, key) for key in keys], names=keys)
-    lines = islice(group_rows(columns, by), MAX_LINES)
-    return {
-        describe_point(key): rows["run_id"].slice(0, _MOST_DRAWS).to_pylist() for key, rows in lines
-    }
+        return _draw_attitude(ensembles, title or "Attitude")
+    has_heading = any(np.isfinite(e.column("phi_u_arcmin")).any() for e in ensembles)
+    if level or not has_heading:
+        return _draw_errors(ensembles, _LEVEL, "level error", title)
+    return _draw_errors(ensembles, _HEADING, "heading error", title)
 
 
 def _with_marks(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
     """Return a line with the bias floor and the reset times of its runs, if they are known."""
-
-    def read(name: str) -> list[Any]:
-        column = rows[name].drop_null() if name in rows.column_names else []
-        return [value.as_py() for value in column]
-
-    floors = np.array([floor for floor in read("floor_arcmin") if math.isfinite(floor)])
-    moments = sorted({time for times in read("reset_times_s") for time in times})
-    floor = float(_rms(floors)) if floors.size else math.nan
-    shown = moments if len(moments) <= _MOST_MOMENTS else []
+    floor, resets = math.nan, set()
+    if "floor_arcmin" in rows.column_names:
+        floors = numeric_column(rows, "floor_arcmin")
+        if np.isfinite(floors).any():
+            floor = float(_rms(floors[np.isfinite(floors)]))
+    if "reset_times_s" in rows.column_names:
+        resets = {time for times in rows["reset_times_s"].to_pylist() for time in times or ()}
+    shown = sorted(resets) if len(resets) <= _MOST_MOMENTS else []
     return ensemble._replace(floor_arcmin=floor, resets_s=shown)
 
 
@@ -218,40 +191,31 @@ def _mark_resets(axes: Axes, times_s: Iterable[float]) -> None:
 
 
 @with_style
-def draw_errors(ensembles: Sequence[Ensemble], title: str = "", *, level: bool = False) -> Figure:
-    """Draw the magnitude of errors next to the filter's 1 sigma, one panel per line.
-
-    Each is the rms over the runs, on a logarithmic axis that all panels share; shaded: the
-    magnitudes of 95 % of the runs. Lines without such an error are left out.
-
-    Args:
-        ensembles: the lines, with ``phi_u_arcmin``, and ``sigma_u_arcmin`` if it is known; those
-            about east and north if ``level``.
-        title: title of the figure; by default the name of the error.
-        level: whether to draw the level errors, about east and north, and not the heading error.
-    """
-    columns, name = (_LEVEL, "level error") if level else (_HEADING, "heading error")
-    shown = [e for e in ensembles if np.isfinite(e.column(columns[0])).any()]
+def _draw_errors(
+    ensembles: Sequence[Ensemble], columns: Mapping[str, str], name: str, title: str
+) -> Figure:
+    """Draw the rms of errors next to the filter's 1 sigma, a panel per line that has them."""
+    shown = [e for e in ensembles if np.isfinite(e.column(next(iter(columns)))).any()]
     if not shown:
         raise InputError(f"plot_curves: no {name} of these runs is known")
-    width = 2 if level or len(shown) > _STACKED else 1
-    height = -(-len(shown) * len(columns) // width)
+    width = 2 if len(columns) > 1 or len(shown) > 3 else 1
+    count = len(shown) * len(columns)
+    height = -(-count // width)
     figure = Figure(figsize=(9.2, 1.4 + (2.6 if height > 1 else 4.0) * height))
+    add_title(figure, title or name.capitalize())
     grid = figure.subplots(height, width, sharex=True, sharey=True, squeeze=False)
-    drawn: list[NDArray] = []
-    for axes, (line, column) in zip(grid.flat, product(enumerate(shown), columns), strict=False):
+    panels, drawn = list(grid.flat)[:count], []
+    for axes, (line, column) in zip(panels, product(enumerate(shown), columns), strict=True):
         number, ensemble = line
         drawn += _draw_error(axes, ensemble, column, line_colour(number), name)
-        label = ", ".join(filter(None, (ensemble.label, _COMPONENTS.get(column))))
+        label = ", ".join(filter(None, (ensemble.label, columns[column])))
         axes.set_title(fill(label, _LETTERS[width]))
-    add_title(figure, title or name.capitalize())
     found = np.concatenate(drawn)
     low = float(np.quantile(found[found > 0], _DIPS)) if (found > 0).any() else 1.0
     low, high = 0.5 * low, 1.5 * max(float(found.max()), low)
-    set_log_scale(grid[0, 0].yaxis, low, high)
-    grid[0, 0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
-    panels = list(grid.flat)[: len(shown) * len(columns)]
-    for axes in grid.flat[len(panels) :]:
+    set_log_scale(panels[0].yaxis, low, high)
+    panels[0].set(xlim=(0, max(e.time_s[-1] for e in shown)), ylim=(low, high))
+    for axes in grid.flat[count:]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel(f"|{name}|\n(arcmin)")
@@ -267,7 +231,7 @@ def _draw_error(
 ) -> list[NDArray]:
     """Draw the magnitude of an error, and return the values of all lines."""
     runs, drawn = ensemble.column(column), []
-    _draw_band(axes, ensemble.time_s, np.abs(runs), colour, _BAND_NAME)
+    _draw_band(axes, ensemble.time_s, np.abs(runs), colour, "95 % of the runs")
     sigma = ensemble.column(column.replace("phi", "sigma"))
     lines = ((name, runs, colour, "-"), ("filter's 1 sigma", sigma, "black", "--"))
     for label, values, line, style in lines:
@@ -284,13 +248,8 @@ def _draw_error(
 
 
 @with_style
-def draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
-    """Draw the mean attitude over time, a panel per angle, dashed the filter's own 1 sigma.
-
-    Args:
-        ensembles: one line each, with ``pitch_deg``, ``roll_deg``, ``yaw_deg`` and the sigmas.
-        title: title of the figure.
-    """
+def _draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
+    """Draw the mean attitude over time, a panel per angle, dashed the filter's own 1 sigma."""
     columns = [c for c in _SIGMAS if any(np.isfinite(e.column(c)).any() for e in ensembles)]
     figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(columns)))
     add_title(figure, title)

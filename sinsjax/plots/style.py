@@ -74,11 +74,7 @@ def line_colour(index: int) -> str:
 
 
 def colour_range(values: NDArray) -> Normalize:
-    """Return a colour scale that a few values far above all others do not stretch.
-
-    Args:
-        values: values to colour; those that are not finite are left out.
-    """
+    """Return a colour scale of the finite values that a few far above the others do not stretch."""
     known = values[np.isfinite(values)]
     if not known.size:
         return Normalize(0.0, 1.0)
@@ -88,12 +84,9 @@ def colour_range(values: NDArray) -> Normalize:
 
 
 def set_log_scale(axis: Axis, low: float, high: float) -> None:
-    """Make an axis logarithmic, with plain numbers at its ticks.
+    """Make an x or y axis logarithmic, with plain numbers at its ticks.
 
-    Args:
-        axis: x or y axis.
-        low: lowest of the values to show, positive.
-        high: highest of them; a range below two decades has ticks within decades too.
+    A range from ``low`` (positive) to ``high`` below two decades has ticks within decades too.
     """
     (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,)))
@@ -109,18 +102,9 @@ def add_title(figure: Figure, title: str) -> None:
 def add_colour_bar(
     figure: Figure, axes: Any, image: ScalarMappable, label: str, values: NDArray
 ) -> None:
-    """Add a colour bar; it has a tip if some of the values lie above the scale.
-
-    Args:
-        figure: figure with the axes.
-        axes: axes that it is for.
-        image: what has the colours.
-        label: name of the values, with their unit.
-        values: the values.
-    """
-    above = (values[np.isfinite(values)] > image.norm.vmax).any()
+    """Add the colour bar of some axes; it has a tip if some of the values lie above its scale."""
+    tip = "max" if (values[np.isfinite(values)] > image.norm.vmax).any() else "neither"
     label = fill(label, int(8 * figure.get_figheight()))
-    tip = "max" if above else "neither"
     figure.colorbar(image, ax=axes, label=label, aspect=30, extend=tip)
 
 
@@ -137,9 +121,7 @@ def add_legend_below(figure: Figure, axes: Axes) -> None:
 def render_png(figure: Figure, footer: str = "") -> bytes:
     """Return the figure as a PNG file; the same figure and footer give the same bytes.
 
-    Args:
-        figure: figure to draw.
-        footer: source of the data, in small print on a strip below the figure.
+    The footer, the source of the data, is in small print on a strip below the figure.
     """
     # A separate figure, unaffected by the layout, legend or title of the other one.
     strip = Figure(figsize=(figure.get_figwidth(), _STRIP))

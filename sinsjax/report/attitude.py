@@ -7,15 +7,18 @@ import numpy as np
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import format_number
 from sinsjax.analysis.estimates import TAIL
-from sinsjax.analysis.formats import format_heading_error
+from sinsjax.analysis.labels import (
+    describe_point,
+    format_heading_error,
+    format_number,
+    format_value,
+)
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.methods.filters.keys import estimates_biases
 from sinsjax.methods.registry import METHODS
-from sinsjax.plots.labels import describe_point, format_value
-from sinsjax.report.base import MAX_ROWS, Fact, Table, caution
+from sinsjax.report.document import MAX_ROWS, Fact, Table, caution
 
 _HEADERS = {
     "heading_deg": ("heading (deg)", 3),
@@ -31,35 +34,42 @@ _LEVEL_SIGMAS, _LEVEL_ERRORS = (tuple(f"{x}_{a}_arcmin" for a in "en") for x in 
 
 
 def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
-    """Yield the last attitude, and what its heading is worth.
-
-    Args:
-        source: results on a record, of a study without truth, or of methods without heading.
-        variant: the variant to show; None for the last one.
-    """
+    """Yield the last attitude of a variant, or of the last one, and what its heading is worth."""
     rows = source.rows(["variant_id", "start_s", *_HEADERS, *_LEVEL_SIGMAS]).to_pylist()
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
-    finds_heading = any(METHODS[name].finds_heading for name in source.study.methods)
-    yield _attitude_fact(source, row, finds_heading=finds_heading)
-    if not finds_heading:
+    yield _attitude_fact(source, row)
+    if not finds_heading(source):
         yield from _level_facts(source)
 
 
-def _attitude_fact(source: Results, row: Mapping[str, Any], *, finds_heading: bool) -> Fact:
+def finds_heading(source: Results) -> bool:
+    """Return whether some method of a study finds the heading."""
+    return any(METHODS[name].finds_heading for name in source.study.methods)
+
+
+def heading_filters(source: Results) -> list[Any]:
+    """Return the methods of a study that have a covariance of the heading."""
+    methods = (METHODS[name] for name in source.study.methods)
+    return [method for method in methods if method.has_covariance and method.finds_heading]
+
+
+def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
     """The attitude that a run ends with, and which run it is if there are several."""
     heading, pitch, roll, sigma, error = (row[name] for name in _HEADERS)
     if pitch is None or roll is None:
         return caution("unknown, the run is not finite", "Attitude")
     text, sigmas = f"pitch {pitch:.3f}, roll {roll:.3f} deg", [row[name] for name in _LEVEL_SIGMAS]
-    if not finds_heading and None not in sigmas:
+    if finds_heading(source):
+        shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
+        text = (
+            f"no heading, {text}"
+            if heading is None
+            else f"heading {heading:.3f} deg{shown}, {text}"
+        )
+        text += "" if error is None or heading is None else f"; {error:+.1f}' from the reference"
+    elif None not in sigmas:
         biases = max(source.study.values("level_accel_bias_ug"))
         text += f" (1 sigma {max(sigmas):.1f}', with accelerometer biases of {biases:,g} ug)"
-    elif finds_heading and heading is None:
-        text = f"no heading, {text}"
-    elif finds_heading:
-        shown = "" if sigma is None else f" (1 sigma {sigma:.1f}')"
-        text = f"heading {heading:.3f} deg{shown}, {text}"
-        text += "" if error is None else f"; {error:+.1f}' from the reference"
     if source.runs > 1:
         start = f"start at {row['start_s']:g} s" if source.study.is_recorded else "last draw"
         text += f" ({start})"
@@ -81,57 +91,46 @@ def _level_facts(source: Results) -> Iterator[Fact]:
 
 def attitude_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about the filter's own 1 sigma."""
-    methods = [METHODS[name] for name in source.study.methods]
-    filters = [method for method in methods if method.has_covariance and method.finds_heading]
-    if filters and not all(map(estimates_biases, filters)):
+    estimating = [*map(estimates_biases, heading_filters(source))]
+    if not all(estimating):
         text = "1 sigma is the filter's own and excludes constant biases: add their floor"
         text += " (`sinsjax advise`), or use gravity_fit with fit_gyro_bias_deg_per_h"
         yield caution(text)
-    if count := count_contradictions(source):
-        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
-
-
-def count_contradictions(source: Results) -> int:
-    """Return the number of runs whose mean r' S^-1 r lies above its 95 % chi-square band.
-
-    Values below the band mean that R is larger than the noise, which is no contradiction.
-    """
     try:
         rows = source.rows(["innovation_nis", "innovation_freedom"])
     except InputError:  # no method has innovations
-        return 0
+        return
     mean, freedom = (analysis.numeric_column(rows, name) for name in rows.column_names)
     mean, freedom = mean[freedom > 0], freedom[freedom > 0]
-    return int((mean > 2 * special.chdtri(freedom, TAIL) / freedom).sum())
+    # The mean of r' S^-1 r is above its 95 % band; below it R is larger than the noise, no doubt.
+    if count := int((mean > 2 * special.chdtri(freedom, TAIL) / freedom).sum()):
+        yield caution(f"the innovations of {count:,} runs contradict their 1 sigma")
 
 
 def last_attitude_table(source: Results) -> Table:
     """Return heading, pitch and roll of each run, or of each variant at the last start."""
-    study, columns = source.study, list(_HEADERS)
-    rows = source.rows(["draw_id", "start_s", *study.keys_shown, *columns]).to_pylist()
-    columns = [name for name in columns if any(row[name] is not None for row in rows)]
+    study, keys = source.study, source.study.keys_shown
+    rows = source.rows(["draw_id", "start_s", *keys, *_HEADERS]).to_pylist()
+    columns = [name for name in _HEADERS if any(row[name] is not None for row in rows)]
     if study.n_variants > 1:
         name, rows = "variant", rows[-study.n_variants :]
-        names = [describe_point({key: row[key] for key in study.keys_shown}) for row in rows]
+        names = [describe_point({key: row[key] for key in keys}) for row in rows]
     else:
         name, key = ("start (s)", "start_s") if study.is_recorded else ("draw", "draw_id")
         names = [format_value(row[key]) for row in rows]
-    header = [name, *(_HEADERS[column][0] for column in columns)]
     cells = ([format_number(row[c], _HEADERS[c][1]) for c in columns] for row in rows)
     lines = [[name, *line] for name, line in zip(names, cells, strict=True)]
-    return Table("Attitude at the end", header, lines)
+    return Table("Attitude at the end", [name, *(_HEADERS[c][0] for c in columns)], lines)
 
 
 def attitude_table(source: Results) -> Table:
     """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys, variants = ["start_s", *source.study.keys_shown], source.study.n_variants
-    rows = [
-        [
-            *(format_value(row[key]) for key in keys),
-            *(format_number(row[n], _DIGITS[n]) for n in _DIGITS),
-        ]
+    cells = [
+        [format_value(row[key]) for key in keys]
+        + [format_number(row[name], digits) for name, digits in _DIGITS.items()]
         for row in source.rows([*keys, *_DIGITS]).to_pylist()
     ]
     title = "Attitude at the end, with the filter's own 1 sigma"
     whole_starts = MAX_ROWS // variants * variants or MAX_ROWS
-    return Table(title, [*keys, *_DIGITS], rows).shortened(whole_starts)
+    return Table(title, [*keys, *_DIGITS], cells).shortened(whole_starts)

@@ -8,19 +8,19 @@ import numpy as np
 import pyarrow.compute as pc
 
 from sinsjax import analysis, plots
+from sinsjax.analysis.labels import FEW_DRAWS, axis_label
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import estimates_biases
-from sinsjax.methods.registry import METHODS
-from sinsjax.plots.comparison import MAX_LINES, build_comparison_panels
+from sinsjax.plots.comparison import MAX_LINES
 from sinsjax.plots.consistency import NEES_COLUMNS, SHARE_COLUMNS
 from sinsjax.plots.curves import select_runs_by_line
 from sinsjax.plots.maps import MAX_PANELS
-from sinsjax.report.base import Picture, describe_intervals
+from sinsjax.report.attitude import heading_filters
+from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Picture
 from sinsjax.report.verdict import SweepOutcome
 from sinsjax.study.schema import BIAS_KEYS
-from sinsjax.study.study import Study
 from sinsjax.study.success import success_columns
 
 
@@ -28,13 +28,20 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
     """Yield the figures of a study; without a truth only the curves.
 
     With two swept numbers or more there are maps over the first two in the order of the study, a
-    panel for each point of all other keys; with one, or one whose values are lists, curves with
-    intervals.
+    panel for each point of all other keys; with one, or else the first key with lists, such as
+    reset times, curves with intervals.
     """
     yield from _curves_over_time(source)
     if outcome is None:
         return
-    axes, others = figure_axes(source.study)
+    numeric, listed = [], []
+    for (key, *more), values in source.study.axes_shown.items():
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            numeric.append(key)
+        elif not more and all(isinstance(v, tuple) for v in values):
+            listed.append(key)
+    axes = numeric[:2] or listed[:1]
+    others = [key for key in source.study.keys_shown if key not in axes]
     if len(axes) == 2:
         for criterion in source.success_measures:
             yield from _maps(replace(outcome, criterion=criterion), axes, others)
@@ -43,19 +50,15 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
     yield from _consistency(source)
 
 
-def figure_axes(study: Study) -> tuple[list[str], list[str]]:
-    """The axes of the study's figures, and all other swept keys.
-
-    They are the first two swept numbers, or else the first key with lists, such as reset times.
-    """
-    numeric, listed = [], []
-    for (key, *more), values in study.axes_shown.items():
-        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-            numeric.append(key)
-        elif not more and all(isinstance(v, tuple) for v in values):
-            listed.append(key)
-    axes = numeric[:2] or listed[:1]
-    return axes, [key for key in study.keys_shown if key not in axes]
+def describe_intervals(source: Results, quantity: str = "Number", of: str = "draws") -> str:
+    """Describe the brackets of a table or a figure, or why there are none."""
+    if source.study.is_recorded:
+        return "No intervals: all runs are on one record and share its sensor biases."
+    note = f"{quantity} [95 % interval over the {of}]; {FEW_DRAWS!r}: too few to bound it."
+    if source.draws < MIN_DRAWS_FOR_INTERVALS:
+        note += f" With fewer than {MIN_DRAWS_FOR_INTERVALS} draws, intervals of the means of"
+        note += " skewed values are too narrow."
+    return note
 
 
 def _curves_over_time(source: Results) -> Iterator[Picture]:
@@ -69,20 +72,24 @@ def _curves_over_time(source: Results) -> Iterator[Picture]:
         return
     count = max(map(len, runs.values()))
     caption = f"{count} runs per line; shading: 95 % of them" if count > 1 else "One run per line"
-    if left := sum(1 for _ in analysis.group_rows(table.select(keys), keys)) - len(runs):
+    if left := _count_points(table, keys) - len(runs):
         caption += f"; {left} more variants are not drawn"
 
     def has(column: str) -> bool:
         return bool(np.isfinite(analysis.numeric_column(curves, column)).any())
 
     caption += "; dashed: the filter's own 1 sigma." if has("sigma_e_arcmin") else "."
-    if not has("phi_e_arcmin"):
-        yield Picture("attitude", caption, plots.plot_curves(curves, table, by=keys))
-        return
-    if has("phi_u_arcmin"):
-        yield Picture("misalignment", caption, plots.plot_curves(curves, table, by=keys))
-    figure = plots.plot_curves(curves, table, by=keys, level=True)
-    yield Picture("misalignment_level", caption, figure)
+    has_truth = has("phi_e_arcmin")
+    if has("phi_u_arcmin") or not has_truth:
+        name = "misalignment" if has_truth else "attitude"
+        yield Picture(name, caption, plots.plot_curves(curves, table, by=keys))
+    if has_truth:
+        figure = plots.plot_curves(curves, table, by=keys, level=True)
+        yield Picture("misalignment_level", caption, figure)
+
+
+def _count_points(table: Any, keys: Sequence[str]) -> int:
+    return sum(1 for _ in analysis.group_rows(table.select(keys), keys))
 
 
 def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iterator[Picture]:
@@ -96,8 +103,7 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     # A run that ends without success settles never, as in the verdict.
     settle_s = pc.if_else(table[ok], table[settle], None)
     table = table.set_column(table.column_names.index(settle), settle, settle_s)
-    draws = format_count(source.draws, "draw")
-    panels = sum(1 for _ in analysis.group_rows(table.select(by), by))
+    draws, panels = format_count(source.draws, "draw"), _count_points(table, by)
     end = f". The first {MAX_PANELS} of {panels} panels." if panels > MAX_PANELS else "."
     captions = {
         settle: f"Median time over {draws} until the heading stays {criterion.description}; grey"
@@ -105,23 +111,22 @@ def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iter
     }
     if not np.isin(shares, (0.0, 1.0)).all():  # else the times show the same
         captions[ok] = f"Share of {draws} ok, {criterion.plural_description}{end}"
-    title, study = _title(outcome), source.study
-    keys = [key for axis in outcome.choices.option_axes for key in axis]
-    best = {key: study.values(key)[outcome.best_variant] for key in keys}
+    keys = [key for axis in outcome.option_axes for key in axis]
+    best = {key: source.study.values(key)[outcome.best_variant] for key in keys}
+    style: Any = {"by": by, "best": best, "title": _title(outcome)}
     for column, caption in captions.items():
-        figure = plots.plot_map(table, axes[0], axes[1], column, by=by, best=best, title=title)
         name = "settling_time" if column == settle else "success_rate"
-        suffix = criterion.figure_suffix(source.success_measures[0])
-        yield Picture(f"{name}{suffix}", caption, figure)
+        name += criterion.figure_suffix(source.success_measures[0])
+        yield Picture(name, caption, plots.plot_map(table, axes[0], axes[1], column, **style))
 
 
 def _title(outcome: SweepOutcome) -> str:
     """Return the option that the verdict names, or nothing without a choice."""
-    best, options = outcome.best, outcome.choices.options
+    best, options = outcome.best, outcome.options
     return f"Best: {options[best]} ({outcome.format_settling(best, 's')})" * (len(options) > 1)
 
 
-def _curves_along_axis(outcome: SweepOutcome, axis: str, line_keys: Sequence[str]) -> Picture:
+def _curves_along_axis(outcome: SweepOutcome, axis: str, by: Sequence[str]) -> Picture:
     """The settling time, the share of successes and the heading error along a key."""
     source, measure = outcome.source, outcome.criterion
     titles = {
@@ -129,14 +134,13 @@ def _curves_along_axis(outcome: SweepOutcome, axis: str, line_keys: Sequence[str
         measure.rate_column: f"share of runs that are ok, {measure.plural_description} (%)",
         "phi_u_arcmin_rms": "heading error at the end, rms (arcmin)",
     }
-    table = source.rows([*line_keys, axis, *success_columns(source.study), *REQUIRED_COLUMNS])
-    values, panels = build_comparison_panels(table, axis, line_keys, titles)
+    table = source.rows([*by, axis, *success_columns(source.study), *REQUIRED_COLUMNS])
     text = describe_intervals(source, quantity="Estimate")
-    lines = sum(1 for _ in analysis.group_rows(table.select(line_keys), line_keys))
-    if lines > MAX_LINES:
+    if (lines := _count_points(table, by)) > MAX_LINES:
         text += f" {lines - MAX_LINES} more lines are not drawn."
-    title = _title(outcome) or f"Over {plots.axis_label(axis)}"
-    return Picture("along_axis", text, plots.draw_along_axis(axis, values, panels, title=title))
+    title = _title(outcome) or f"Over {axis_label(axis)}"
+    figure = plots.plot_compare(table, axis, by=by, statistics=titles, title=title)
+    return Picture("along_axis", text, figure)
 
 
 def _consistency(source: Results) -> Iterator[Picture]:
@@ -169,9 +173,7 @@ def _consistency(source: Results) -> Iterator[Picture]:
 
 def excludes_biases(source: Results) -> bool:
     """Return whether the sensors have constant biases and no filter has states for them."""
-    methods: list[Any] = [METHODS[name] for name in source.study.methods]
-    filters = [method for method in methods if method.has_covariance and method.finds_heading]
-    if source.study.is_recorded or any(map(estimates_biases, filters)):
+    if source.study.is_recorded or any(map(estimates_biases, heading_filters(source))):
         return False
     given = (value for key in BIAS_KEYS for value in source.study.values(key))
     return bool({*BIAS_KEYS} & {*source.study.drawn_keys}) or any(map(np.any, given))

@@ -1,6 +1,6 @@
 """The report of any study: its verdict, its figures, and statistics of its variants."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -8,35 +8,35 @@ import numpy as np
 
 from sinsjax import analysis
 from sinsjax.analysis import format_estimate
-from sinsjax.analysis.formats import format_heading_error, format_percent, format_time_difference
+from sinsjax.analysis.labels import (
+    describe_point,
+    format_heading_error,
+    format_percent,
+    format_time_difference,
+    format_value,
+)
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
 from sinsjax.execution.results import Results
-from sinsjax.methods.registry import METHODS
-from sinsjax.plots.labels import describe_point, format_value
-from sinsjax.report.attitude import (
-    attitude_cautions,
-    attitude_facts,
-    attitude_table,
-    last_attitude_table,
-)
-from sinsjax.report.base import MAX_ROWS, Block, Report, Table, describe_intervals
-from sinsjax.report.figures import draw_figures
-from sinsjax.report.verdict import (
-    SweepOutcome,
-    answer_facts,
-    caution_facts,
-    condition_table,
-    fit_cautions,
-    program_facts,
-    study_title,
-    warning_facts,
-)
+from sinsjax.report.attitude import attitude_table
+from sinsjax.report.document import MAX_ROWS, Report, Table
+from sinsjax.report.figures import describe_intervals, draw_figures
+from sinsjax.report.verdict import build_verdict, find_outcome
 from sinsjax.study.keys import is_condition_key
-from sinsjax.study.success import success_columns, success_measures
+from sinsjax.study.study import Study
+from sinsjax.study.success import success_columns, success_criteria, success_measures
 
 _END = "phi_u_arcmin"
 _SECONDS = partial(format_estimate, digits=0)
+
+
+class _Column(NamedTuple):
+    """A column of a table: its header, its statistic, and how that is written."""
+
+    header: str
+    name: str
+    format: Callable[[Any], str]
+    needs_floor: bool = False
 
 
 def build_report(
@@ -44,91 +44,47 @@ def build_report(
 ) -> Report:
     """The verdict and the figures of a study, and all tables if they are wanted.
 
-    Args:
-        source: the results.
-        with_tables: whether to compute the tables.
-        warnings_shown: whether the user has seen the study's warnings.
-
-    Raises:
-        InputError: runs are missing.
+    ``warnings_shown`` means that the user has seen the study's warnings.
     """
-    outcome = _find_outcome(source)
-    blocks: list[Block] = [*draw_figures(source, outcome)]
-    if with_tables and (source.study.is_recorded or outcome is None):
-        blocks.append(attitude_table(source))
+    study, outcome = source.study, find_outcome(source)
+    tables, notes, keys = [], [], study.keys_shown
+    if with_tables and (study.is_recorded or outcome is None):
+        tables.append(attitude_table(source))
     if with_tables and outcome:
-        blocks += _all_tables(source, outcome)
-    return _state_verdict(source, outcome, warnings_shown=warnings_shown)._replace(blocks=blocks)
+        parts: list[Sequence[str]] = [keys]
+        if study.n_variants > MAX_ROWS:
+            parts = [[key] for key in keys]
+            text = f"{study.n_variants:,} variants: each table has one key and pools the others."
+            notes.append(text)
+        tables += [heading_error_table(source, part) for part in parts]
+        tables += [statistics_table(source, part) for part in parts]
+        if 1 < study.n_variants <= MAX_ROWS and source.draws > 1:
+            tables.append(comparison_table(source))
+        if text := outcome.held_out[0]:
+            end = "(each half of the draws chooses for the other)"
+            notes.append(f"{text[0].upper()}{text[1:]} {end}.")
+    return build_verdict(source, outcome, warnings_shown=warnings_shown)._replace(
+        tables=tables,
+        pictures=[*draw_figures(source, outcome)],
+        notes=notes,
+        footer=f"{study.name}: {study.n_variants:,} × {source.draws:,} runs",
+    )
 
 
-def _find_outcome(source: Results) -> SweepOutcome | None:
-    """The outcome of a sweep; None if no run has a truth."""
-    heading = analysis.numeric_column(source.rows([_END]), _END)
-    return SweepOutcome.from_source(source) if np.isfinite(heading).any() else None
-
-
-def build_verdict(source: Results, *, warnings_shown: bool = False) -> Report:
-    """Return the report without its figures and tables.
-
-    It states the best option if a truth is known, and the attitude on a record, without a truth or
-    without a heading.
-
-    Args:
-        source: the results.
-        warnings_shown: whether the user has seen the study's warnings.
-    """
-    return _state_verdict(source, _find_outcome(source), warnings_shown=warnings_shown)
-
-
-def _state_verdict(
-    source: Results, outcome: SweepOutcome | None, *, warnings_shown: bool
-) -> Report:
-    study = source.study
-    finds_heading = any(METHODS[name].finds_heading for name in study.methods)
-    band, doubts = warning_facts(source, warnings_shown=warnings_shown)
-    doubts += fit_cautions(source)
-    if outcome and finds_heading and not study.is_recorded:
-        facts = [*band, *program_facts(outcome), *answer_facts(outcome)]
-        facts += [*doubts, *caution_facts(outcome)]
-        return Report(study_title(source), facts, condition_table(outcome))
-    table = last_attitude_table(source) if source.runs > 1 else None
-    variant, judged = None, []
-    if outcome and finds_heading and study.n_variants > 1:
-        variant, table = outcome.best_variant, condition_table(outcome)
-        judged = [*answer_facts(outcome), *caution_facts(outcome)]
-    doubts += attitude_cautions(source)
-    return Report(study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
-
-
-def _all_tables(source: Results, outcome: SweepOutcome) -> Iterator[Block]:
-    """Yield the tables of all variants, or of each key, which pools the others."""
-    study, keys = source.study, source.study.keys_shown
-    if held_out := outcome.held_out[0]:
-        yield f"{held_out[0].upper()}{held_out[1:]} (each half of the draws chooses for the other)."
-    if study.n_variants <= MAX_ROWS:
-        yield heading_error_table(source, keys)
-        yield statistics_table(source, keys)
-        if study.n_variants > 1 and source.draws > 1:
-            yield comparison_table(source)
-        return
-    yield f"{study.n_variants:,} variants: each table has one key and pools the others."
-    yield from (heading_error_table(source, [key]) for key in keys)
-    yield from (statistics_table(source, [key]) for key in keys)
-
-
-class _Column(NamedTuple):
-    """A column of a table: its header, its statistic and how that is written."""
-
-    header: str
-    name: str
-    format: Callable[[Any], str]
-    needs_floor: bool = False
-
-    def cell(self, found: Mapping[str, Any]) -> str:
-        """The statistic of a group of runs as text."""
-        if self.needs_floor and found["no_floor"] == found["n"]:
-            return "no bias floor"
-        return self.format(found[self.name])
+def describe_success_criterion(study: Study) -> str:
+    """Describe *settled* and *ok* in a study, in one paragraph."""
+    rule = success_criteria(study)
+    ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
+    dwell_s = rule.dwell(ends_s)
+    last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
+    aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
+    aim = "the reference's heading" if study.is_recorded else aim
+    return (
+        f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band given) of"
+        f" {aim} from then to the end of the run; ok: it has been there for {last} s at the end,"
+        f" and the level errors end within {rule.level_band_arcmin:g} arcmin. Bias floor: the"
+        " heading error caused by a run's own constant sensor biases."
+    )
 
 
 def _lay_out(
@@ -138,40 +94,45 @@ def _lay_out(
     columns: Sequence[_Column],
     note: str,
 ) -> Table:
-    """A table of statistics, one row per group of runs."""
-    rows = [
-        [*map(format_value, key.values()), *(column.cell(found) for column in columns)]
-        for key, found in groups
-    ]
-    return Table(title, [*keys, *(column.header for column in columns)], rows, note).shortened()
+    """A table of statistics, one row per group of runs; a method may have no bias floor."""
+    rows = []
+    for key, found in groups:
+        without = found.get("no_floor") == found["n"]
+        cells = [
+            "no bias floor" if without and one.needs_floor else one.format(found[one.name])
+            for one in columns
+        ]
+        rows.append([*map(format_value, key.values()), *cells])
+    return Table(title, [*keys, *(one.header for one in columns)], rows, note).shortened()
 
 
-def _describe_keys(source: Results, keys: Sequence[str]) -> str:
+def _by(source: Results, keys: Sequence[str]) -> str:
     return "" if list(keys) == list(source.study.keys_shown) else f", by {' and '.join(keys)}"
 
 
 def statistics_table(source: Results, keys: Sequence[str]) -> Table:
-    """Return success, settling time and heading error of each group of runs that share some keys.
-
-    There are columns for each criterion of success; a method may have no bias floor.
-    """
-    measures, columns = source.success_measures, []
-    for y in (*measures, *(y for y in success_measures(source.study) if y not in measures)):
+    """Return success, settling time and heading error of the runs that share some keys."""
+    study, measures = source.study, source.success_measures
+    columns = [_Column("runs", "n", str)]
+    for y in dict.fromkeys([*measures, *success_measures(study)]):
         header = f"ok: {y.description} (%)"
         columns.append(_Column(header, y.rate_column, format_percent, not y.truth))
     for y in measures:
         header, name = f"time to {y.description}, median (s)", f"{y.settle_column}_median"
         columns.append(_Column(header, name, _SECONDS, not y.truth))
-    header = f"signed mean from {'the reference' if source.study.is_recorded else 'its bias floor'}"
-    drift = _Column(f"{header} (arcmin)", "phi_u_from_floor_arcmin_mean", format_estimate, True)
-    header = "heading error at the end, rms (arcmin)"
-    columns += [_Column(header, f"{_END}_rms", format_heading_error), drift]
-    table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
-    groups = analysis.estimate_groups(table, keys, [column.name for column in columns]).groups
-    start, end = source.study.study.window_s
+    aim = "the reference" if study.is_recorded else "its bias floor"
+    drift = f"signed mean from {aim} (arcmin)"
+    columns += [
+        _Column("heading error at the end, rms (arcmin)", f"{_END}_rms", format_heading_error),
+        _Column(drift, "phi_u_from_floor_arcmin_mean", format_estimate, True),
+    ]
+    table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(study)])
+    names = [column.name for column in columns[1:]]
+    groups = analysis.estimate_groups(table, keys, names).groups
+    start, end = study.study.window_s
     note = f"{describe_intervals(source)} Signed mean: over {start:g} to {end:g} s."
-    title = f"Every variant{_describe_keys(source, keys)}"
-    return _lay_out(title, keys, groups, [_Column("runs", "n", str), *columns], note)
+    title = f"Every variant{_by(source, keys)}"
+    return _lay_out(title, keys, groups, columns, note)
 
 
 def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
@@ -182,19 +143,17 @@ def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
     times[_END] = "the end"
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *times])
     names = [f"{column}_{end}" for column in times for end in ("rms", "abs_q90")]
+    groups = analysis.estimate_groups(table, keys, names).groups
     rows = [
         [
-            *map(format_value, key.values()),
-            f"{found['n']}",
-            time,
-            format_heading_error(found[f"{column}_rms"]),
-            format_heading_error(found[f"{column}_abs_q90"]),
+            *(*map(format_value, key.values()), f"{found['n']}", time),
+            *(format_heading_error(found[f"{column}_{end}"]) for end in ("rms", "abs_q90")),
         ]
-        for key, found in analysis.estimate_groups(table, keys, names).groups
+        for key, found in groups
         for column, time in times.items()
     ]
     aim = "the reference" if source.study.is_recorded else "true north"
-    title = f"Heading error from {aim}, arcmin{_describe_keys(source, keys)}"
+    title = f"Heading error from {aim}, arcmin{_by(source, keys)}"
     header = [*keys, "runs", "at", "rms", "90 % of the runs below"]
     found = Table(title, header, rows, describe_intervals(source))
     return found.shortened(MAX_ROWS * len(times))
@@ -209,9 +168,8 @@ def comparison_table(source: Results) -> Table:
     table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
     conditions = [key for key in keys if is_condition_key(key)]
     options = [key for key in keys if key not in conditions]
-    first_of = partial(_first_point, keys=options)
     parts = [rows for _, rows in analysis.group_rows(table, conditions)]
-    if not options or any(first_of(rows) != first_of(table) for rows in parts):
+    if not options or any(_first(rows, options) != _first(table, options) for rows in parts):
         parts, options = [table], list(keys)
     columns = [
         _Column(f"ok: {y.description} (% points)", f"{y.rate_column}_difference", format_percent)
@@ -225,13 +183,13 @@ def comparison_table(source: Results) -> Table:
     groups = [
         group
         for part in parts
-        for group in analysis.compare_with_baseline(part, keys, _first_point(part, keys)).groups
+        for group in analysis.compare_with_baseline(part, keys, _first(part, keys)).groups
     ]
     note = describe_intervals(source, "Difference", "pairs of runs of a draw")
     note += " Distance: that of the window mean of phi_u."
-    title = f"Against {describe_point(_first_point(table, options))}, on the same noise"
+    title = f"Against {describe_point(_first(table, options))}, on the same noise"
     return _lay_out(title, keys, groups, columns, note)
 
 
-def _first_point(rows: Any, keys: Sequence[str]) -> dict[str, Any]:
+def _first(rows: Any, keys: Sequence[str]) -> dict[str, Any]:
     return {key: rows[key][0].as_py() for key in keys}

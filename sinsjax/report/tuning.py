@@ -1,20 +1,19 @@
 """The report of a tuning: its candidates, evaluated on unused draws, and its searches."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sinsjax import plots
 from sinsjax.analysis import UNKNOWN, Estimate, format_estimate
-from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.labels import axis_label, format_percent, format_setting, format_value
 from sinsjax.messages import format_count
-from sinsjax.plots.descents import Points, VariableAxis, draw_descents
-from sinsjax.plots.labels import format_setting, format_value
-from sinsjax.report.base import Fact, Picture, Report, Table, caution
-from sinsjax.study.search_space import SearchSpace, Variable
+from sinsjax.plots.maps import Points, draw_landscape
+from sinsjax.report.document import Fact, Picture, Report, Table, caution
+from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
+from sinsjax.tuning.history import Evaluation
 from sinsjax.tuning.results import (
     SEARCH_LABELS,
     TuningResults,
@@ -34,8 +33,9 @@ def build_report(tuning: TuningResults) -> Report:
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *map(caution, _doubts(tuning))],
         _summary_table(tuning),
-        [_candidate_table(tuning), *_landscape(tuning)],
-        f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
+        [_candidate_table(tuning)],
+        [*_landscape(tuning)],
+        footer=f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
     )
 
 
@@ -79,8 +79,7 @@ def _describe_gain(tuning: TuningResults, other: str) -> str:
 
 def _describe_candidate(tuning: TuningResults, name: str) -> str:
     """The values of a candidate in words."""
-    case = {key: value for key, value in tuning.case(name).items() if key != "case"}
-    return ", ".join(format_setting(key, format_value(value)) for key, value in case.items())
+    return ", ".join(format_setting(k, v) for k, v in tuning.case(name).items() if k != "case")
 
 
 def _doubts(tuning: TuningResults) -> Iterator[str]:
@@ -108,9 +107,10 @@ def _summary_table(tuning: TuningResults) -> Table:
     """The candidates by their objective, the best first."""
     rows = []
     for name in sorted(tuning.case_numbers, key=lambda name: tuning.score_of(name).value):
-        is_start = name == "baseline"
-        difference = "-" if is_start else _format(tuning, tuning.difference(name, "baseline"))
-        label = "start" if is_start else SEARCH_LABELS.get(name, name)
+        label, difference = "start", "-"
+        if name != "baseline":
+            label = SEARCH_LABELS.get(name, name)
+            difference = _format(tuning, tuning.difference(name, "baseline"))
         rows.append([label, _format(tuning, tuning.score_of(name)), difference])
     return Table("Candidates", ["candidate", "unused draws", "less the start"], rows)
 
@@ -127,21 +127,18 @@ def _candidate_table(tuning: TuningResults) -> Table:
     rows = []
     for name in tuning.case_numbers:
         tuned, cost, percent = "-", "-", "-"
-        if name in searches:
-            best = UNKNOWN._replace(value=searches[name].best.objective)
-            tuned, cost = _format(tuning, best), f"{searches[name].cost / 1e6:,.4g}"
-        if name in searches and rival in searches:
-            share = 100 * searches[name].cost / searches[rival].cost
+        if result := searches.get(name):
+            tuned = _format(tuning, UNKNOWN._replace(value=result.best.objective))
+            cost = f"{result.cost / 1e6:,.4g}"
+        if result and rival in searches:
+            share = 100 * result.cost / searches[rival].cost
             percent = f"{share:,.{0 if share >= 100 else 1}f} %"
         found = tuning.settled_share(name)
-        rows.append(
-            [
-                *(name, _format(tuning, tuning.score_of(name)), tuned),
-                *([format_percent(found)] if found else []),
-                "-" if name == rival else _format(tuning, tuning.difference(name)),
-                *(cost, percent, *(format_value(tuning.case(name)[key]) for key in keys)),
-            ]
-        )
+        difference = "-" if name == rival else _format(tuning, tuning.difference(name))
+        row = [name, _format(tuning, tuning.score_of(name)), tuned]
+        row += [format_percent(found)] if found else []
+        case = tuning.case(name)
+        rows.append([*row, difference, cost, percent, *(format_value(case[key]) for key in keys)])
     note = "Of draws that tuned nothing, the same for all [95 % interval by the bootstrap over"
     note += " them]. Cost: simulated steps of the search, with those of its derivatives."
     return Table("Candidates on the unused draws", header, rows, note)
@@ -161,25 +158,22 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
     used = space.used_variables(combination)
     if not used:
         return
+
+    def points_of(label: str, evaluations: Sequence[Evaluation]) -> Points:
+        values = np.array([e.values for e in evaluations])[:, used]
+        return Points(label, values, np.array([e.objective for e in evaluations]))
+
     name = next(name for name in ("grid", *tuning.searches) if name in tuning.searches)
     evaluations = [e for e in tuning.searches[name].evaluations if e.candidate == number]
     if name == "grid":  # without the law's schedule, which is not on the grid
         evaluations = evaluations[-(tuning.tune.grid_points ** len(used)) :]
-    points = Points(
-        objective_label(tuning.search_study),
-        np.array([e.values for e in evaluations])[:, used],
-        np.array([e.objective for e in evaluations]),
-    )
+    points = points_of(objective_label(tuning.search_study), evaluations)
     ways = [
         Points("descents, from the open circles", values[:, used], found)
         for values, found in tuning.descents(number)
     ]
     marked = [
-        Points(
-            f"best of {SEARCH_LABELS[search]}",
-            np.array([result.best.values])[:, used],
-            np.array([result.best.objective]),
-        )
+        points_of(f"best of {SEARCH_LABELS[search]}", [result.best])
         for search, result in tuning.searches.items()
         if result.best.candidate == number
     ]
@@ -191,16 +185,13 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
     if len(space.combinations) > 1:
         chosen = ", ".join(f"{key} = {format_value(v)}" for key, v in combination.items())
         caption += f". All with {chosen}, the values of the best candidate"
-    variables = [_variable_axis(space.variables[i]) for i in used]
+    variables = {}
+    for variable in (space.variables[i] for i in used):
+        key, entry = variable.key, variable.entry
+        label, bracket, unit = axis_label(key).partition(" (")
+        if entry is not None:
+            label = f"reset {entry + 1} at" if key == TIMES else f"{label}, number {entry + 1}"
+        variables[f"{label}{bracket}{unit}"] = variable.log
     title = f"Best: {_describe_candidate(tuning, tuning.best_search)}"
-    figure = draw_descents(variables, points, ways, marked, title)
+    figure = draw_landscape(variables, points, ways, marked, title)
     yield Picture("descent", f"{caption}.", figure)
-
-
-def _variable_axis(variable: Variable) -> VariableAxis:
-    name, bracket, unit = plots.axis_label(variable.key).partition(" (")
-    if variable.entry is not None and variable.key == TIMES:
-        name = f"reset {variable.entry + 1} at"
-    elif variable.entry is not None:
-        name = f"{name}, number {variable.entry + 1}"
-    return VariableAxis(f"{name}{bracket}{unit}", variable.log)

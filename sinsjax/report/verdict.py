@@ -1,29 +1,47 @@
 """The verdict on a sweep: the best option, those like it, its accuracy, and its limiting factor.
 
-The best has the fewest runs that never settle and, of equals, settles soonest on average, over all
-draws; its numbers are those of its own runs, as anybody computes them from the summary.
+An axis with a starting error, a motion, a sensor or a site is a condition, which is imposed. Any
+other axis, such as a reset schedule, a filter key or the method, is a choice of the engineer.
+Options are compared over all conditions. The best has the fewest runs that never settle and, of
+equals, settles soonest on average, over all draws; its numbers are those of its own runs, as
+anybody computes them from the summary.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate, format_estimate
-from sinsjax.analysis.formats import format_heading_error, format_percent
-from sinsjax.analysis.grids import Grid
+from sinsjax.analysis import Estimate, Grid, format_estimate
+from sinsjax.analysis.labels import (
+    describe_point,
+    describe_schedule,
+    format_heading_error,
+    format_percent,
+    format_value,
+    name_and_unit,
+    value_with_unit,
+)
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.gravity_fit.method import REFITS
-from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, caution
-from sinsjax.report.choices import Choices, condition_header, format_condition
+from sinsjax.report.attitude import (
+    attitude_cautions,
+    attitude_facts,
+    finds_heading,
+    last_attitude_table,
+)
+from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Fact, Report, Table, caution
 from sinsjax.study.filter_noise import noise_ratios_by_sensor
+from sinsjax.study.keys import is_condition_key
 from sinsjax.study.success import FLOOR_COLUMNS, SuccessMeasure
 
 _MAX_Q_RATIO = 10.0  # times the sensors' noise that Q may be before the verdict cautions
@@ -44,29 +62,79 @@ _FIT_DOUBTS = {
 class SweepOutcome:
     """The results of a sweep by option, condition and draw, by one criterion of success.
 
-    Attributes:
-        source: the results.
-        choices: the variants by option and condition.
-        criterion: criterion of success.
-        grid: the runs, by option and condition.
+    Copies of variants are left out. An axis is given by the keys that identify its points.
     """
 
     source: Results
-    choices: Choices
     criterion: SuccessMeasure
     grid: Grid
+    option_axes: list[tuple[str, ...]]
+    condition_axes: list[tuple[str, ...]]
 
     @classmethod
     def from_source(cls, source: Results) -> "SweepOutcome":
-        """Read the columns of the summary that a verdict needs."""
-        criteria, choices = source.success_measures, Choices.from_study(source.study)
+        """Read the columns of the summary that a verdict needs, and sort the axes of its study."""
+        criteria, study = source.success_measures, source.study
         columns = [name for y in criteria for name in (y.ok_column, y.settle_column)]
         table = source.rows([*FLOOR_COLUMNS, *columns])
         # A criterion that some method does not have cannot compare the methods.
         complete = [one for one in criteria if table[one.ok_column].null_count == 0]
-        draws = table.num_rows // source.study.n_variants
-        criterion = (complete or criteria)[0]
-        return cls(source, choices, criterion, Grid({}, table, choices.runs(draws)))
+        imposed = [
+            any(is_condition_key(key) or key == "start_s" for key in axis)
+            for axis in study.dimensions
+        ]
+        sizes = [len(next(iter(axis.values()))) for axis in study.dimensions]
+        choices_first = np.argsort(imposed, kind="stable")
+        variants = np.arange(study.n_variants).reshape(sizes).transpose(choices_first)
+        chosen = [size for size, is_imposed in zip(sizes, imposed, strict=True) if not is_imposed]
+        variants = variants.reshape(int(np.prod(chosen)), -1)
+        first = study.duplicate_of[variants] == variants
+        variants = variants[first.any(axis=1)][:, first.any(axis=0)]
+        draws = np.arange(table.num_rows // study.n_variants)
+        grid = Grid({}, table, variants[..., None] + study.n_variants * draws)
+        axes: tuple[list[tuple[str, ...]], ...] = ([], [])
+        for keys, is_imposed in zip(study.axes_shown, imposed, strict=True):
+            axes[is_imposed].append(keys)
+        return cls(source, (complete or criteria)[0], grid, *axes)
+
+    @property
+    def variants(self) -> NDArray:
+        """Number of the variant, (options, conditions)."""
+        return self.grid.rows[..., 0]
+
+    @cached_property
+    def _reset_times(self) -> list[tuple[float, ...]]:
+        return self.source.study.reset_times()
+
+    @property
+    def without_resets(self) -> list[int]:
+        """The options without scheduled resets; none if no axis is a schedule."""
+        if not any({*keys} <= {*SCHEDULE_KEYS} for keys in self.option_axes):
+            return []
+        first = self.variants[:, 0].tolist()
+        return [option for option, variant in enumerate(first) if not self._reset_times[variant]]
+
+    @cached_property
+    def options(self) -> list[str]:
+        """Each option in words."""
+        options = []
+        for variant in self.variants[:, 0].tolist():
+            words, times_s = [], self._reset_times[variant]
+            for keys in self.option_axes:
+                for key in keys:
+                    value = self.source.study.values(key)[variant]
+                    if key == "method":
+                        words.append(format_value(value))
+                    elif key not in SCHEDULE_KEYS:
+                        words.append(describe_point({key: value}))
+                    elif times_s or {*keys} <= {*SCHEDULE_KEYS}:
+                        words.append(describe_schedule(times_s))
+            options.append(", ".join(dict.fromkeys(words)))
+        return options
+
+    def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
+        """The same in some conditions."""
+        return replace(self, grid=self.grid._replace(rows=self.grid.rows[:, conditions]))
 
     @cached_property
     def time_s(self) -> NDArray:
@@ -91,18 +159,17 @@ class SweepOutcome:
         """The best option; every number about it is that of its own runs."""
         return self.best_of(range(len(self.time_s)))
 
-    def best_of(self, options: Sequence[int]) -> int:
-        """The best of some options."""
-        return options[best_option(self.time_s[list(options)], self.unsettled_time_s)]
+    def best_of(self, options: Sequence[int], draws: slice = slice(None)) -> int:
+        """The option with the fewest runs that never settle; of equals, the fastest on average."""
+        time_s = self.time_s[list(options)][..., draws]
+        never = np.isinf(time_s).sum(axis=(1, 2))
+        mean = np.minimum(time_s, self.unsettled_time_s).mean(axis=(1, 2))
+        return options[int(np.lexsort((mean, never))[0])]
 
     @property
     def best_variant(self) -> int:
         """The number of the best option's variant in the last condition."""
-        return int(self.choices.variants[self.best, -1])
-
-    def select_conditions(self, conditions: Sequence[int]) -> "SweepOutcome":
-        """The same in some conditions."""
-        return replace(self, grid=self.grid._replace(rows=self.grid.rows[:, conditions]))
+        return int(self.variants[self.best, -1])
 
     def flat(self, column: str, option: int) -> NDArray:
         """A column of an option's runs."""
@@ -167,7 +234,7 @@ class SweepOutcome:
         chosen = np.empty(self.n_draws, dtype=int)
         halves = slice(0, None, 2), slice(1, None, 2)
         for choosing, judging in (halves, halves[::-1]):
-            chosen[judging] = best_option(self.time_s[..., choosing], self.unsettled_time_s)
+            chosen[judging] = self.best_of(range(len(self.time_s)), choosing)
         times_s = self.time_s[chosen, :, np.arange(self.n_draws)].ravel()
         draws = np.repeat(np.arange(self.n_draws), self.time_s.shape[1])
         share, mean_s = analysis.share(np.isfinite(times_s), draws), analysis.mean(times_s, draws)
@@ -181,19 +248,40 @@ class SweepOutcome:
         return f"on draws that did not choose the option, {text}", agrees
 
 
-def best_option(time_s: NDArray, unsettled_time_s: float) -> int:
-    """Return the option with the fewest runs that never settle; of equals, the fastest on average.
+def find_outcome(source: Results) -> SweepOutcome | None:
+    """The outcome of a sweep; None if no run has a truth."""
+    heading = analysis.numeric_column(source.rows(["phi_u_arcmin"]), "phi_u_arcmin")
+    return SweepOutcome.from_source(source) if np.isfinite(heading).any() else None
 
-    Args:
-        time_s: (options, conditions, draws) settling times, infinite for never.
-        unsettled_time_s: time that such a run counts in the average, s.
+
+def build_verdict(
+    source: Results, outcome: SweepOutcome | None = None, *, warnings_shown: bool = False
+) -> Report:
+    """Return the report without its figures and tables.
+
+    It states the best option if a truth is known, and the attitude on a record, without a truth or
+    without a heading. The outcome is that of the sweep, if it was found before. A band out of reach
+    is the first line, also for users who have seen the warnings.
     """
-    never = np.isinf(time_s).sum(axis=(1, 2))
-    mean = np.minimum(time_s, unsettled_time_s).mean(axis=(1, 2))
-    return int(np.lexsort((mean, never))[0])
+    study, outcome = source.study, outcome or find_outcome(source)
+    bands = [] if study.is_recorded else [*band_warnings(study)]
+    band = [caution(line, "Band") for line in bands]
+    others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
+    doubts = [*(caution(line, "Warning") for line in others), *_fit_cautions(source)]
+    if outcome and finds_heading(source) and not study.is_recorded:
+        facts = [*band, *_program_facts(outcome), *_answer_facts(outcome)]
+        facts += [*doubts, *_caution_facts(outcome)]
+        return Report(_study_title(source), facts, _condition_table(outcome))
+    table = last_attitude_table(source) if source.runs > 1 else None
+    variant, judged = None, []
+    if outcome and finds_heading(source) and study.n_variants > 1:
+        variant, table = outcome.best_variant, _condition_table(outcome)
+        judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
+    doubts += attitude_cautions(source)
+    return Report(_study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
 
 
-def study_title(source: Results) -> str:
+def _study_title(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")
@@ -204,37 +292,31 @@ def study_title(source: Results) -> str:
     kept = len({*study.duplicate_of}) * runs // study.n_variants
     count += f" ({kept:,} distinct)" if kept < runs else ""
     status = source.rows(["status"])
-    failed = {kind: int(analysis.status_mask(status, kind).sum()) for kind in FAILED}
+    failed = {kind: int(analysis.numeric_column(status, f"status={kind}").sum()) for kind in FAILED}
     kinds = ", ".join(kind for kind, number in failed.items() if number)
     text = f"{sum(failed.values()):,} failed ({kinds})" if kinds else "none failed"
     return f"{study.name}: {count}, {text}"
 
 
-def warning_facts(source: Results, *, warnings_shown: bool) -> tuple[list[Fact], list[Fact]]:
-    """Return the warnings of a study: of a band out of reach, which comes first, and all others.
-
-    Those that the user has seen are left out, but for the first.
-    """
-    bands = [] if source.study.is_recorded else [*band_warnings(source.study)]
-    others = () if warnings_shown else source.warnings
-    facts = [caution(line, "Warning") for line in others if line not in bands]
-    return [caution(line, "Band") for line in bands], facts
-
-
-def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the best option, those like it, its rivals, its accuracy and the basis."""
-    names, best, source = outcome.choices.options, outcome.best, outcome.source
-    sentence = _settling_sentence(outcome)
-    if len(names) == 1:
+    best, source, criterion = outcome.best, outcome.source, outcome.criterion
+    settled, share = np.isfinite(outcome.time_s[best]), format_percent(outcome.success_share(best))
+    sentence = "no run settles"
+    if settled.any():
+        runs = "every run settles" if settled.all() else f"{share} % of the runs settle"
+        sentence = (
+            f"{runs}, after {format_estimate(outcome.mean_settling_s(best), 's', 0)} on average"
+        )
+    if len(outcome.options) == 1:
         yield Fact("Settling", sentence)
     else:
-        yield Fact("Best", f"{names[best]}: {sentence}")
+        yield Fact("Best", f"{outcome.options[best]}: {sentence}")
         yield from _comparison_facts(outcome)
     if "gravity_fit" in source.study.methods:
         yield Fact("Refits", REFITS)
-    yield _accuracy_fact(outcome)
-    criterion = outcome.criterion
-    text = f"{format_percent(outcome.success_share(best))} % {criterion.description}"
+    yield Fact("Accuracy", _describe_accuracy(outcome))
+    text = f"{share} % {criterion.description}"
     if not criterion.truth:
         error = outcome.flat("phi_u_arcmin", best)
         right = analysis.share(np.abs(error) <= criterion.band_arcmin, outcome.clusters)
@@ -248,58 +330,47 @@ def answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
         yield Fact("Stopped", text if stopped else "after the last draw, not by [stop_when]")
 
 
-def _settling_sentence(outcome: SweepOutcome) -> str:
-    """Return the share of the best option's runs that settle, and their mean time."""
-    settled = np.isfinite(outcome.time_s[outcome.best])
-    if not settled.any():
-        return "no run settles"
-    time = format_estimate(outcome.mean_settling_s(outcome.best), "s", 0)
-    if settled.all():
-        return f"every run settles, after {time} on average"
-    share = format_percent(outcome.success_share(outcome.best))
-    return f"{share} % of the runs settle, after {time} on average"
-
-
 def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the options that are not told apart from the best, the next best and no resets."""
-    names, best, like = outcome.choices.options, outcome.best, outcome.options_like_best()
+    names, like = outcome.options, outcome.options_like_best()
     if like:
         listed = "; ".join(names[option] for option in like[:_MOST_LIKE])
         more = f"; {len(like) - _MOST_LIKE} more" if len(like) > _MOST_LIKE else ""
         yield Fact("Not told apart", f"{listed}{more} (on {format_count(outcome.n_draws, 'draw')})")
-    others = [option for option in range(len(names)) if option != best and option not in like]
-    without = [option for option in outcome.choices.without_resets if option in others]
+    others = [option for option in range(len(names)) if option not in (outcome.best, *like)]
+    without = [option for option in outcome.without_resets if option in others]
     rivals = dict.fromkeys(outcome.best_of(kind) for kind in (others, without) if kind)
     if rivals:
         texts = (f"{names[rival]}: {outcome.format_settling(rival, 's')}" for rival in rivals)
         yield Fact("Others", "; ".join(texts))
 
 
-def _accuracy_fact(outcome: SweepOutcome) -> Fact:
+def _describe_accuracy(outcome: SweepOutcome) -> str:
     """Return the heading error at the end, and its limiting factor."""
     error, floor = (outcome.flat(name, outcome.best) for name in FLOOR_COLUMNS)
     found, recorded = outcome.heading_error(outcome.best), outcome.source.study.is_recorded
-    aim = "the reference" if recorded else "true north"
-    text = f"{format_heading_error(found)}' rms from {aim}"
+    text = (
+        f"{format_heading_error(found)}' rms from {'the reference' if recorded else 'true north'}"
+    )
     squares = np.where(np.isfinite(error), error, 0.0) ** 2
     never = np.isinf(outcome.time_s[outcome.best].ravel())
     if squares[never].sum() > squares.sum() / 2:
-        return Fact("Accuracy", f"{text}, mostly of runs that never settle")
+        return f"{text}, mostly of runs that never settle"
     if recorded or not np.isfinite(floor).any():
-        return Fact("Accuracy", text)
+        return text
     lowest = analysis.rms(floor).value
     if lowest >= _LIMITING * found.value:
-        return Fact("Accuracy", f"{text}, mostly bias floor ({lowest:.1f}')")
-    return Fact("Accuracy", f"{text}, bias floor only {lowest:.1f}'")
+        return f"{text}, mostly bias floor ({lowest:.1f}')"
+    return f"{text}, bias floor only {lowest:.1f}'"
 
 
-def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the mean heading error of each program outside sinsjax, and that of the best method.
 
     A run without a result counts 180 deg. The best is that of all draws.
     """
-    choices, external = outcome.choices, outcome.source.study.study.external or ()
-    methods = np.array(outcome.source.study.values("method"))[choices.variants[:, 0]]
+    external = outcome.source.study.study.external or ()
+    methods = np.array(outcome.source.study.values("method"))[outcome.variants[:, 0]]
     errors = [np.abs(outcome.flat("phi_u_arcmin", option)) for option in range(len(methods))]
     errors = [np.where(np.isnan(error), _FAILED_ARCMIN, error) for error in errors]
     means = [np.inf if m in external else e.mean() for m, e in zip(methods, errors, strict=True)]
@@ -312,11 +383,11 @@ def program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
             larger, smaller, word = smaller, larger, "less"
         difference = analysis.mean_difference(larger, smaller, outcome.clusters)
         text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
-        text += f" {choices.options[best]}, the best of sinsjax"
+        text += f" {outcome.options[best]}, the best of sinsjax"
         yield Fact("Program", text)
 
 
-def caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
     best, criterion = outcome.best, outcome.criterion
     text, agrees = outcome.held_out
@@ -350,7 +421,7 @@ def process_noise_caution(source: Results) -> Iterator[Fact]:
         )
 
 
-def fit_cautions(source: Results) -> Iterator[Fact]:
+def _fit_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about fits; about draws, if too large a share of them is doubtful."""
     if "gravity_fit" not in source.study.methods:
         return
@@ -368,26 +439,36 @@ def fit_cautions(source: Results) -> Iterator[Fact]:
             yield caution(f"the fit has {doubt.format(above.max())}{which}")
 
 
-def condition_table(outcome: SweepOutcome) -> Table | None:
-    """The best option at each point of the condition that matters most."""
-    choices, overall = outcome.choices, outcome.best
-    time_s = np.minimum(outcome.time_s[overall], outcome.unsettled_time_s).mean(axis=-1)
-    axis = choices.most_influential_axis(time_s)
-    if axis is None:
+def _condition_table(outcome: SweepOutcome) -> Table | None:
+    """The best option at each point of the condition along which its settling varies most."""
+    time_s = np.minimum(outcome.time_s[outcome.best], outcome.unsettled_time_s).mean(axis=-1)
+    points: dict[tuple[str, ...], dict[tuple[Any, ...], list[int]]] = {}
+    for keys in outcome.condition_axes:
+        columns, points[keys] = [outcome.source.study.values(key) for key in keys], {}
+        for place, variant in enumerate(outcome.variants[0].tolist()):
+            point = tuple(values[variant] for values in columns)
+            points[keys].setdefault(point, []).append(place)
+    spread = {
+        keys: np.ptp([time_s[conditions].mean() for conditions in found.values()])
+        for keys, found in points.items()
+        if len(found) > 1
+    }
+    if not spread:
         return None
+    axis, names = max(spread, key=spread.__getitem__), outcome.options
     header = ["settled (%)", "settles after, mean (s)", "error, rms (arcmin)"]
-    if len(choices.options) > 1:
-        rival = "no reset (s)" if choices.without_resets else "best overall (s)"
+    if len(names) > 1:
+        rival = "no reset (s)" if outcome.without_resets else "best overall (s)"
         header = ["best option", "settles after, mean (s)", rival]
     rows = []
-    for point, conditions in choices.conditions_by_point(axis).items():
+    for point, conditions in points[axis].items():
         here = outcome.select_conditions(conditions)
-        if len(choices.options) > 1:
-            best, other = here.best, here.best_of(choices.without_resets or [overall])
-            cells = [choices.options[best], here.format_settling(best), here.format_settling(other)]
+        if len(names) > 1:
+            best, other = here.best, here.best_of(outcome.without_resets or [outcome.best])
+            cells = [names[best], here.format_settling(best), here.format_settling(other)]
         else:
             share = format_percent(here.success_share(0))
             cells = [share, here.format_settling(0), format_heading_error(here.heading_error(0))]
-        rows.append([format_condition(axis, point), *cells])
-    first = condition_header(axis)
+        rows.append([", ".join(map(value_with_unit, axis, point)), *cells])
+    first = ", ".join(name_and_unit(key)[0].removeprefix("initial ") for key in axis)
     return Table(f"Per {first}", [first, *header], rows)

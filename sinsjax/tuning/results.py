@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
+from sinsjax.analysis.labels import format_setting
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_facts
@@ -113,9 +114,7 @@ class TuningResults:
 
     def __repr__(self) -> str:
         """Return five short lines: objective, best point, its score, the baseline's, place."""
-        from sinsjax.plots.labels import format_setting, format_value  # plots import Matplotlib
-
-        point = ", ".join(format_setting(key, format_value(v)) for key, v in self.best.items())
+        point = ", ".join(format_setting(key, value) for key, value in self.best.items())
         score, baseline = map(format_estimate, (self.score, self.baseline))
         facts = {
             "objective": self.objective,

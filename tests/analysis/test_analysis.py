@@ -7,7 +7,7 @@ import pyarrow as pa
 import pytest
 
 from sinsjax import analysis
-from sinsjax.analysis.grids import Grid
+from sinsjax.analysis.tables import Grid
 from sinsjax.errors import InputError
 
 NEVER = math.inf

@@ -5,7 +5,6 @@ import math
 from fractions import Fraction
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,7 @@ from scipy import optimize, stats
 import sinsjax
 from sinsjax import analysis
 from sinsjax.analysis import Estimate, estimates, summaries
-from sinsjax.analysis.formats import format_time_difference
+from sinsjax.analysis.labels import format_time_difference
 
 NEVER, NAN = math.inf, math.nan
 DIFFERENCES = [
@@ -253,14 +252,6 @@ def flatten_draws(values):
     return np.ravel(values), draws.ravel()
 
 
-@pytest.mark.parametrize("statistic", [analysis.mean, analysis.rms])
-def test_clusters_of_one_value_equal_independent_values(statistic):
-    values = np.random.default_rng(1).normal(2.0, 1.0, 20)
-    assert statistic(values, np.arange(20)[::-1]) == pytest.approx(statistic(values))
-    assert analysis.quantile(values, 0.9, np.arange(20)) == analysis.quantile(values, 0.9)
-    assert analysis.share(values > 2, np.arange(20)) == analysis.share(values > 2)
-
-
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
     values += np.random.default_rng(3).normal(0, 0.3, values.shape)
@@ -269,12 +260,6 @@ def test_mean_of_equal_draws_is_student_interval_of_draw_means():
     assert found[:3] == pytest.approx(by_draw[:3]) and found.n == DRAWS * VARIANTS
     holed = np.append(runs, [math.inf, math.nan])
     assert analysis.mean(holed, np.append(draws, [0, 99])) == found
-
-
-def test_share_of_identical_runs_per_draw_is_share_of_draws():
-    whole = np.repeat(np.arange(DRAWS) < 5, VARIANTS).reshape(DRAWS, VARIANTS)
-    oracle = stats.binomtest(5, DRAWS).proportion_ci(0.95, "exact")
-    assert analysis.share(*flatten_draws(whole))[:3] == pytest.approx((5 / 16, *oracle), rel=1e-9)
 
 
 def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
@@ -350,11 +335,3 @@ def test_one_cluster_has_no_interval():
         analysis.mean_difference(values, -values, record),
     ):
         assert math.isfinite(found.value) and found.n == 12 and np.isnan(found[1:3]).all()
-
-
-def test_clusters_are_draws_or_one_whole_record():
-    runs = pa.table({"draw_id": [0, 0, 1], "start_s": [0.0, 0.0, 0.0], "x": [1, 2, 3]})
-    record = runs.set_column(1, "start_s", pa.array([0.0, 0.0, 30.0]))
-    assert analysis.cluster_ids(runs).tolist() == [0, 0, 1]
-    assert analysis.cluster_ids(record).tolist() == [0, 0, 0]
-    assert analysis.cluster_ids(runs.select(["x"])) is None

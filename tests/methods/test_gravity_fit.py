@@ -13,7 +13,7 @@ import sinsjax
 from sinsjax.execution.results import Results
 from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
 from sinsjax.methods.gravity_fit.noise import SensorNoise
-from sinsjax.report.monte_carlo import build_verdict
+from sinsjax.report.verdict import build_verdict
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3
 

@@ -9,6 +9,7 @@ from scipy import stats
 
 import sinsjax
 from sinsjax import plots
+from sinsjax.analysis.labels import axis_label
 from sinsjax.errors import InputError
 from sinsjax.plots.consistency import SHARE_COLUMNS
 
@@ -79,7 +80,7 @@ def test_map_frames_the_best_cell_in_every_panel_that_it_is_in():
     first, second = map_panels(figure)
     np.testing.assert_array_equal(shown(first), [[300, 300], [100, 200], [150, 180]])
     assert [tick.get_text() for tick in first.get_yticklabels()] == ["0", "1", "2"]
-    assert second.get_xlabel() == plots.axis_label("reset_cycle_s")
+    assert second.get_xlabel() == axis_label("reset_cycle_s")
     assert np.ma.getmaskarray(shown(second))[0].all()  # never
     titles = [panel.get_title(loc="left").replace("\n", " ") for panel in (first, second)]
     assert titles == [f"initial heading error {start} deg" for start in (0, 30)]

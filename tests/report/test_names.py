@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from rich.console import Console
 from support.stored_results import report_text, store_results
@@ -23,8 +22,14 @@ from sinsjax import messages as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
-from sinsjax.report.base import Fact, Picture, Report, Table
-from sinsjax.report.markdown import escape_markdown, to_html
+from sinsjax.report.document import (
+    Fact,
+    Picture,
+    Report,
+    Table,
+    print_report,
+    to_html,
+)
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -61,16 +66,7 @@ def whole_report(text: str) -> Report:
     picture = Picture("fig", text, Figure())
     picture.figure.suptitle(text)
     table = Table(text, [text], [[text]], text)
-    blocks = [text, table, picture]
-    return Report(text, [Fact(text, text)], None, blocks, definition=text, origin=text)
-
-
-@pytest.mark.parametrize("name", NASTY)
-def test_escaped_name_renders_unchanged_in_markdown(name: str) -> None:
-    read = MarkdownIt("commonmark").enable(["table", "strikethrough"])
-    shown = escape(name, quote=False)
-    assert read.renderInline(escape_markdown(name)) == shown
-    assert f"<td>{shown}</td>" in read.render(f"| a |\n| --- |\n| {escape_markdown(name)} |\n")
+    return Report(text, [Fact(text, text)], None, [table], [picture], [text] * 3)
 
 
 def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: Path) -> None:
@@ -88,11 +84,11 @@ def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: 
 
 
 def test_control_characters_in_any_part_of_report_are_escaped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
-    report.print_report(whole, printed, tmp_path, full=True)
+    print_report(whole, printed, full=True)
     for text in (printed.file.getvalue(), to_html(f"part{ODD}", [(whole, {"fig": PNG})])):
         assert not CONTROL.search(text.replace("\n", ""))
         assert text.count(r"part\x1b") >= 9

@@ -13,18 +13,17 @@ from support.studies import STILL, small_study, with_paper_values
 from support.synthetic_tables import FLOOR, synthetic_curves, synthetic_summary
 
 from sinsjax import analysis, report
-from sinsjax.analysis.formats import format_percent
+from sinsjax.analysis.labels import format_percent
 from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.results import Results
 from sinsjax.execution.tables import replace_column
-from sinsjax.report.base import Table
 from sinsjax.report.monte_carlo import (
     build_report,
-    build_verdict,
     comparison_table,
     statistics_table,
 )
+from sinsjax.report.verdict import build_verdict
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -42,7 +41,7 @@ def facts_of(found):
 
 
 def tables_of(found):
-    return {block.title: block for block in found.blocks if isinstance(block, Table)}
+    return {table.title: table for table in found.tables}
 
 
 def names_of(directory):

@@ -11,10 +11,8 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution.results import Results
-from sinsjax.report.base import Report
-from sinsjax.report.choices import Choices
-from sinsjax.report.monte_carlo import build_verdict
-from sinsjax.report.verdict import process_noise_caution
+from sinsjax.report.document import Report
+from sinsjax.report.verdict import SweepOutcome, build_verdict, process_noise_caution
 from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -48,11 +46,13 @@ def settling(settle_s: np.ndarray) -> dict[str, Any]:
 
 
 def test_copies_of_a_variant_are_one_option() -> None:
-    choices = Choices.from_study(sweep_study())
+    study = sweep_study(4)
+    tables = {"summary": synthetic_summary(study)}
+    outcome = SweepOutcome.from_source(Results(study, None, tables=tables))
     resets = [f"{name} {time} s" for name in ("1 reset at", "2 resets, every") for time in (1, 2)]
-    assert choices.options == ["no reset", *resets]
-    assert choices.without_resets == [0]
-    runs = choices.runs(4)
+    assert outcome.options == ["no reset", *resets]
+    assert outcome.without_resets == [0]
+    runs = outcome.grid.rows
     assert runs.shape == (5, 3, 4)
     np.testing.assert_array_equal(runs[0, 0], [0, 18, 36, 54])
 
