@@ -7,21 +7,18 @@ from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
 
 _RESETS_AND_FEEDBACK = (
-    "At a reset the whole estimate is fed back, then P is set anew; its effect depends on how "
-    "soon the next feedback follows. With `reset_restarts_feedback = true` the next feedback "
-    "follows a whole interval after a reset. With `reset_at_feedback = true` a scheduled reset "
-    "waits for the next feedback: two that wait for the same one are one, and the columns of "
-    "the schedule give its times as written. Both together act like the second alone; with "
-    "feedback at every sample neither has an effect, nor has either a gradient. After coarse "
-    "alignment that hands over, the clock starts with fine alignment."
+    "A reset first feeds back the whole estimate, then sets P anew; its effect depends on how soon"
+    " the next feedback follows. `reset_restarts_feedback = true` puts that a whole interval after"
+    " the reset; `reset_at_feedback = true` makes a scheduled reset wait for the next feedback, and"
+    " two that wait for the same one are one. Both together act like the second alone; with"
+    " feedback at every sample neither has an effect."
 )
 
 _TURNING = (
     "One turn or a few give 1.0 to 1.25 times the information bound in rms, for gyro biases of 0.01"
     " to 1 deg/h, 300 s or more and gyros without errors of scale factor and cross-axis. With 300"
     " ppm and 1 mrad of these it is 1.3 to 1.9 times the bound, and some runs on a carousel"
-    " diverge: use `gravity_fit`, which estimates them. Beyond 1 deg/h the heading of the first"
-    " position is too bad for a linear filter."
+    " diverge: use `gravity_fit`."
 )
 
 
