@@ -11,7 +11,7 @@ import numpy as np
 from timing import Workload
 
 from sinsjax.engine.batch import LANES, STACKED_TILES, Batch, map_in_threads, trace_program
-from sinsjax.engine.inputs import Draw, RunParams, Tiles
+from sinsjax.engine.inputs import Draw, Tiles
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS, unread_keys
 from sinsjax.platform.files import asset_path
@@ -28,18 +28,6 @@ _DEFAULT = "configs/reset_sweep.toml"
 _SIGMAS = {
     "level_sigma_per_s": [0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.06],
     "azimuth_sigma_per_s": [0.01, 0.012, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05],
-}
-_MOTION_RANGES = {
-    "yaw_center_deg": [0.0, 360.0],
-    "pitch_amplitude_deg": [1.0, 3.0],
-    "roll_period_s": [6.0, 10.0],
-    "yaw_phase_deg": [-180.0, 180.0],
-}
-"""Base motion and orientation keys with a value per draw, and their ranges."""
-
-_DISTURBED = {
-    "motion": {"surge_m_per_s": 0.1, "lever_arm_m": 1.0},
-    "sensors": {"gyro_instability_deg_per_h": 0.01, "accel_instability_ug": 10.0},
 }
 
 
@@ -113,46 +101,18 @@ def set_feedback_every_sample(group: Batch) -> Batch:
     return group._replace(params=group.params._replace(method=method))
 
 
-def select_last_variants(group: Batch, n_variants: int, min_runs: int = 0) -> Batch:
-    """The group with its last variants only, and enough draws for `TILES` and a number of runs."""
-    draws = _draw_count(n_variants, min_runs)
+def select_last_variants(group: Batch, n_variants: int) -> Batch:
+    """The group with its last variants only, and enough draws for `TILES`."""
+    draws = _draw_count(n_variants)
     q = jax.tree.map(lambda a: np.full(draws, a[0]), group.draws.q)
     return group._replace(
-        params=_last_variants(group, n_variants),
+        params=jax.tree.map(lambda a: a[-n_variants:], group.params),
         draws=Draw(np.arange(draws), np.asarray(0), np.zeros(draws, int), q),
     )
 
 
-@cache
-def disturbed_group(n_variants: int) -> Batch:
-    """`select_last_variants` of the default sweep with surge, a lever arm and bias instability."""
-    data = _default_tables()
-    for name, keys in _DISTURBED.items():
-        data[name] |= keys
-    return select_last_variants(_group_of(data), n_variants)
-
-
-@cache
-def drawn_motion_group(n_variants: int) -> Batch:
-    """`select_last_variants` of the default sweep with a different base motion for each draw."""
-    data = _default_tables()
-    data["study"]["draws"] = _draw_count(n_variants)
-    for key in _MOTION_RANGES:
-        data["motion"].pop(key, None)
-    data["drawn"] = {"sampling": "random"} | {
-        key: {"uniform": ends} for key, ends in _MOTION_RANGES.items()
-    }
-    group = _group_of(data)
-    return group._replace(params=_last_variants(group, n_variants))
-
-
-def _draw_count(n_variants: int, min_runs: int = 0) -> int:
-    return max(min_runs, TILES * STACKED_TILES * max(LANES, n_variants)) // n_variants + 1
-
-
-def _last_variants(group: Batch, n_variants: int) -> RunParams:
-    variants: RunParams = jax.tree.map(lambda a: a[-n_variants:], group.params)
-    return variants
+def _draw_count(n_variants: int) -> int:
+    return TILES * STACKED_TILES * max(LANES, n_variants) // n_variants + 1
 
 
 def shorten_runs(group: Batch, records: int) -> Batch:

@@ -6,7 +6,6 @@ A script has a function ``rows(quick, repeats)`` that measures and returns rows,
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,7 +17,6 @@ from rich.table import Table
 from timing import Row, measurement_conditions, pin_to_one_core
 
 from sinsjax.errors import InputError
-from sinsjax.platform import runtime
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -53,16 +51,12 @@ def or_exit(measure: Callable[[], list[Any]]) -> list[Any]:
         raise SystemExit(2) from None
 
 
-def main(rows: Rows, *, one_core: bool = True, repeats: int = 7) -> None:
-    """Run a script: read its flags, measure on one core or on all, print."""
+def main(rows: Rows, *, repeats: int = 7) -> None:
+    """Run a script: read its flags, measure on one core, print."""
     options = parser(sys.modules[rows.__module__].__doc__ or "", repeats)
     options.add_argument("--quick", action="store_true", help="tiny sizes: does it work?")
     flags = options.parse_args()
-    if one_core:
-        pin_to_one_core()
-    else:
-        os.environ[runtime.CACHE_VARIABLE] = "0"  # as `pin_to_one_core` does
-        runtime.configure()
+    pin_to_one_core()
     if measured := or_exit(lambda: rows(flags.quick, flags.repeats)):
         show(measured, measurement_conditions(), as_json=flags.json)
 

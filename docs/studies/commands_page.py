@@ -16,7 +16,7 @@ _INTRODUCTION = (
 
 
 def render_commands_page() -> str:
-    """Return usage, examples, arguments and options of every command, as Markdown."""
+    """Return examples, arguments and options of every command, as Markdown."""
     group: Any = typer.main.get_command(app)
     entries = {name: _describe_parameters(command) for name, command in group.commands.items()}
     uses = Counter(line for lines in entries.values() for line in lines)
@@ -28,9 +28,7 @@ def render_commands_page() -> str:
     lines += [line for line, count in uses.items() if count > 1]
     for name, command in group.commands.items():
         summary, _, example = " ".join(command.help.split()).partition(" Example: ")
-        usage = " ".join(command.collect_usage_pieces(typer.Context(command)))
-        usage = usage.replace("{", "").replace("}", "")
-        calls = f"sinsjax {name} {usage}", *filter(None, example.split("; "))
+        calls = [*filter(None, example.split("; "))] or [f"sinsjax {name}"]
         shared = [line.split()[1].rstrip(",:`") for line in entries[name] if uses[line] > 1]
         lines += ["", f"## {name}", "", summary, "", "```", *calls, "```"]
         lines += [""] if entries[name] else []

@@ -20,29 +20,27 @@ def keys_page() -> str:
         "# Keys of a study",
         "",
         "`sinsjax keys [SECTION|KEY|METHOD]` prints this reference. A name ends in the unit of its"
-        " numbers: `_deg_per_sqrt_h` is deg/sqrt(h). Unless noted, all methods read a key. The"
+        " numbers: `_deg_per_sqrt_h` is deg/sqrt(h). Brackets after a name hold the default, those"
+        " at the end the methods that read the key, where they are not those of the section. The"
         f" filters are {', '.join(of_filters.methods)}.",
         "",
-        f"The keys of {sweepable} may vary: {VARYING}. A case has the value of the section, or"
-        " the default, of a key that it leaves out. Give other keys once: in their section or a"
-        " table that varies them.",
+        f"The keys of {sweepable} may vary: {VARYING}. Give a key once: in its section or in a"
+        " table that varies it.",
     ]
     for table, model in TABLES.items():
         keys = [key for key in KEYS.values() if key.section == table]
         readers = [key.readers_text.replace(of_filters.readers_text, "the filters") for key in keys]
         usual = max(readers, key=readers.count)
-        read_by = "" if {*readers} == {"all"} else f" Read by {usual}, unless noted."
+        read_by = "" if {*readers} == {"all"} else f" Read by {usual}."
         lines += ["", f"## [{table}]", "", section_purpose(model) + read_by, ""]
-        lines += ["| key | default | meaning |", "|---|---|---|"]
         rows: dict[str, list[Key]] = {}
         for key, reader in zip(keys, readers, strict=True):
             note = "" if reader == usual else f" ({reader})"
             rows.setdefault(key.meaning + note, []).append(key)
         for meaning, alike in rows.items():
             names = ", ".join(f"`{key.name}`" for key in alike)
-            defaults = ", ".join(dict.fromkeys(key.default for key in alike))
-            cells = (cell.replace("|", "\\|") for cell in (names, defaults, meaning))
-            lines.append(f"| {' | '.join(cells)} |")
+            defaults = ", ".join(dict.fromkeys(key.default for key in alike if key.default))
+            lines.append(f"- {names}{f' ({defaults})' if defaults else ''}: {meaning}")
     return "\n".join(lines) + "\n"
 
 
