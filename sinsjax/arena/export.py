@@ -22,14 +22,12 @@ from sinsjax.arena.frames import FRAMES, to_angles, to_body_axes, to_quaternion
 from sinsjax.arena.runs import ProgramRuns, check_simulated
 from sinsjax.arena.simulated_record import simulated_records
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, check_directory
+from sinsjax.execution.directory import STUDY, check_directory, read_sealed_json, to_sealed_json
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
 from sinsjax.records import Record
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_study, study_to_toml
+from sinsjax.study.load import fingerprint, load_study, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.types import Quat
 from sinsjax.units import DEG
@@ -156,7 +154,7 @@ def export_study(
         "frame": frame,
         "files": {name: {"sha256": digest} for name, digest in digests.items()},
     }
-    write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
+    write_file(out / MANIFEST, to_sealed_json(manifest))
     return out
 
 
@@ -169,7 +167,7 @@ def read_export(directory: Path) -> tuple[Study, str]:
     check_directory(directory)
     again = "(`sinsjax export` writes one to another directory)"
     try:
-        manifest = sealed.read_sealed_json(directory / MANIFEST)
+        manifest = read_sealed_json(directory / MANIFEST)
     except FileNotFoundError:
         raise InputError(f"{directory}: contains no export, or an unfinished one {again}") from None
     if manifest.get("schema") != _SCHEMA:

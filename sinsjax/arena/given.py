@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.run import Intervals, Run, set_up
+from sinsjax.engine.run import Intervals, Run, prepare_tile
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import multiply, normalise
 from sinsjax.methods.method import AttitudeCovariance, Options, Program, unknown_covariance
@@ -97,7 +97,7 @@ def _call(function: Callable, batch: Batch, *arguments: Any) -> Any:
 
 @partial(jax.jit, static_argnums=0)
 def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> RunStarts:
-    runs = set_up(spec, environment, tile)
+    runs = prepare_tile(spec, environment, tile)
     truth: Quat = jax.vmap(runs.base_attitudes)(runs.intervals())
     turns = runs.sensors.housing_turns(spec.intervals)
     if turns is not None:
@@ -110,7 +110,7 @@ def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Ru
 def _judge(
     spec: ProgramSpec, environment: Environment, tile: Tiles, given: GivenAttitudes
 ) -> Outcome:
-    runs = set_up(spec, environment, tile)
+    runs = prepare_tile(spec, environment, tile)
     turns = runs.sensors.housing_turns(spec.intervals)
 
     def observe(run: Run, row: tuple[Intervals, GivenAttitudes]) -> tuple[Run, None]:

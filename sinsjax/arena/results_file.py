@@ -18,7 +18,7 @@ from sinsjax.arena.runs import ProgramRuns
 from sinsjax.errors import InputError
 from sinsjax.messages import shorten, to_one_line
 from sinsjax.platform.files import read_regular_file
-from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import fingerprint
 from sinsjax.types import Quat
 from sinsjax.units import DEG
 

@@ -14,7 +14,7 @@ from sinsjax.arena.given import build_external
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution.checks import refuse_external
+from sinsjax.execution.prepare import refuse_external
 from sinsjax.execution.success import require_floor
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import register_external

@@ -7,9 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
-from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs, true_increments
 from sinsjax.engine.samples import TileSensors
 from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
@@ -49,7 +48,7 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
     samples = min(spec.intervals, int(environment.pass_intervals)) * spec.interval_samples
     if environment.increments is None and environment.motion is not None:
         motion, place = environment.motion, environment.site.place
-        rows = truth.true_increments(motion, place, rate_hz, samples, axes=True)
+        rows = true_increments(motion, place, rate_hz, samples, axes=True)
         environment = environment._replace(increments=rows[:, :6], axes=rows[:, 6:])
     for number in range(batch.n_draws):
         draws = batch.select_draws(np.array([number])).draws

@@ -24,7 +24,7 @@ from support.sweep_directories import (
 )
 
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.platform import compile_cache
+from sinsjax.platform import runtime
 from sinsjax.study.load import study_to_toml
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
@@ -72,7 +72,7 @@ class Sweeps:
         """Return a process that is killed at a point, and waits after each part."""
         words = ["sweep", self.study, "-o", self.out, "--chunk-runs", CHUNK_RUNS, *options]
         paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
-        environment = {compile_cache.VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
+        environment = {runtime.CACHE_VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
         process = subprocess.Popen(
             [sys.executable, "-m", "support.killed_commands", *map(str, (*point, pause_s, *words))],
             env=os.environ | environment,
