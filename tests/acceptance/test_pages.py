@@ -21,10 +21,10 @@ FEW += " --set study.duration_s=450 --set study.window_s=[300,450]"
 """Of `reset_sweep`, to save time."""
 
 PRINTED = {
-    "start": "floor, 88 [",
-    "advise": "10.3 gyro_bias_deg_per_h",
-    "own_record": "'yaw_deg': -35.0",
-    "turning": "214.9 26 1.0",
+    "start": r"floor, 88 \[",
+    "advise": r"10\.3 \S+\n8\.4 \S+\n7\.9 ",
+    "own_record": r"'yaw_deg': -3[45]\.",
+    "turning": r"214\.9 26 1\.0",
     "one_run": "",
 }
 """Tutorials, and what a command or block of code prints besides what the page shows below it."""
@@ -55,7 +55,7 @@ def test_tutorial_runs_and_prints_what_it_shows(
             code, out, error = sinsjax(*shlex.split(words)[1:])
             assert code == 0 and "error" not in error, line
             told.append(out)
-    assert any(PRINTED[page] in out for out in told), told
+    assert any(re.search(PRINTED[page], out) for out in told), told
 
 
 def assert_same_but_for_last_digits(here: str, there: str) -> None:
