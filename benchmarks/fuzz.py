@@ -1,8 +1,7 @@
 """A long hunt for studies and records that end in anything but a result or one line.
 
-It makes what `tests/acceptance/test_fuzzing.py` makes, with other numbers each time, for as long as
-is asked, and looks at the time and the memory of every case too. Exit status 1 where anything was
-found.
+It makes what `tests/fuzzing` makes, with other numbers each time, for as long as is asked, and
+looks at the time and the memory of every case too. Exit status 1 where anything was found.
 """
 
 import argparse

@@ -11,16 +11,15 @@ from support.commands import Command
 from support.studies import small_tables
 
 import sinsjax as package
-from sinsjax.methods.registry import METHODS, register_external
 from sinsjax.study import files
 
 pytestmark = pytest.mark.optimised(False)
 
-ROOT = Path(__file__).parents[2]
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_study_is_found_by_name_after_local_files(sinsjax: Command) -> None:
-    path = ROOT / "configs" / "reset_sweep.toml"
+    path = CONFIGS / "reset_sweep.toml"
     Path("reset_sweep").mkdir()  # results are no study
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
         assert files.find_study_file(name).samefile(path)
@@ -28,24 +27,20 @@ def test_study_is_found_by_name_after_local_files(sinsjax: Command) -> None:
         package.load_study("reset_sweeps")
     Path("reset_sweep.toml").write_text("x = 1\n")
     assert files.find_study_file("reset_sweep").samefile("reset_sweep.toml")
-    for name in ("", "..", "/", "x" * 300, "a/b"):
-        code, _, error = sinsjax("validate", name)
-        assert (code, error.count("\n")) == (2, 1) and "Traceback" not in error
 
 
 def test_init_copies_study_file_with_comments(sinsjax: Command) -> None:
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
     schema, _, text = Path("reset_sweep.toml").read_text().partition("\n")
-    assert schema == f"#:schema {(ROOT / 'configs' / 'schema.json').as_uri()}"
-    original = (ROOT / "configs" / "reset_sweep.toml").read_text().splitlines()[1:]
+    assert schema == f"#:schema {(CONFIGS / 'schema.json').as_uri()}"
+    original = (CONFIGS / "reset_sweep.toml").read_text().splitlines()[1:]
     changed = set(text.splitlines()) - set(original)
     assert len(text.splitlines()) == len(original) and all(line[0] == "#" for line in changed)
-    assert changed and "configs/" not in text
+    assert "configs/" not in text  # a user has no such folder
     code, told, _ = sinsjax("init", "--list")
-    assert "docs/" not in told and "configs/" not in told  # a wheel has no such folders
     known = {*files.shipped_studies(), *files.TEMPLATES}
-    assert code == 0 and known <= {*re.findall(r"\w+", told)}
+    assert code == 0 and known <= {*re.findall(r"\w+", told)} and "configs/" not in told
 
 
 @pytest.mark.parametrize("name", files.TEMPLATES)
@@ -55,21 +50,13 @@ def test_templates_are_valid(sinsjax: Command, name: str) -> None:
     assert (code, error) == (0, "") and f"{name}.toml: valid; " in told
 
 
-def test_errors_of_shipped_studies_name_the_study(sinsjax: Command, tmp_path: Path) -> None:
-    text = (ROOT / "configs" / "reset_sweep.toml").read_text()
-    (tmp_path / "mine.toml").write_text(text)
-    whole = str(tmp_path / "mine.toml")
-    names = {"reset_sweep": "reset_sweep", "mine": "mine.toml", whole: whole}
-    for given, name in names.items():
-        for change, reason in (
-            ("alignment.foo=3", "[alignment] foo: unknown key"),
-            ("axes.reset_count={}", "valid; "),
-        ):
-            _, told, error = sinsjax("validate", given, "--set", change)
-            line = told or error.removeprefix("error: ")
-            assert line.startswith(f"{name}: {reason}"), line
-    _, _, error = sinsjax("run", "car_test", "-o", "out")
-    assert error.startswith("error: car_test: [record]: the study needs a record")
+def test_errors_of_shipped_studies_name_the_study(sinsjax: Command) -> None:
+    Path("mine.toml").write_text((CONFIGS / "reset_sweep.toml").read_text())
+    for given, name in {"reset_sweep": "reset_sweep", "mine": "mine.toml"}.items():
+        _, _, error = sinsjax("validate", given, "--set", "alignment.foo=3")
+        assert error.startswith(f"error: {name}: [alignment] foo: unknown key")
+    code, told, _ = sinsjax("validate", "reset_sweep", "--set", "axes.reset_count={}")
+    assert code == 0 and told.startswith("reset_sweep: valid; ")
 
 
 def test_study_file_is_written_whole_or_not_at_all(
@@ -96,17 +83,13 @@ def test_validate_reports_all_errors_of_a_stage(sinsjax: Command) -> None:
     """First those of names; once these are right, those of values."""
     tables = small_tables(study={"draws": 0}, axes={"phi_u0_deg": [0, "x", 400]})
     for more, places in (
-        ({"filtr": {}, "seedd": 3}, {"[filtr]", "[seedd]"}),
-        ({}, {"[study] draws", "[axes] phi_u0_deg[1]", "[axes] phi_u0_deg[2]"}),
+        ({"filtr": {}, "seedd": 3}, ["[filtr]", "[seedd]"]),
+        ({}, ["[axes] phi_u0_deg[1]", "[axes] phi_u0_deg[2]", "[study] draws"]),
     ):
         Path("wrong.toml").write_text(tomli_w.dumps(tables | more))
         code, told, error = sinsjax("validate", "wrong")
-        lines = [line.removeprefix("error: wrong.toml: ") for line in error.splitlines()]
-        assert (code, told) == (2, "")
-        assert sorted(line.partition(":")[0] for line in lines) == sorted(places)
-
-
-NESTED = "[" * 20_000 + "]" * 20_000
+        lines = error.replace("error: wrong.toml: ", "").splitlines()
+        assert (code, told) == (2, "") and sorted(x.partition(":")[0] for x in lines) == places
 
 
 @pytest.mark.parametrize(
@@ -114,25 +97,23 @@ NESTED = "[" * 20_000 + "]" * 20_000
     [
         ("sweep reset_sweep --bogus", "--bogus"),
         ("sweep reset_sweep", "'--out' / '-o'"),
-        ("swep", "'swep'"),
-        ("sweep reset_sweep -o x --devices two", "'--devices'"),
         ("validate reset_sweep --set phi_u0_deg", "must be SECTION.KEY=VALUE"),
         ("validate reset_sweep --set alignment.phi_u0_deg=[", "not a TOML value"),
-        ("validate reset_sweep --set alignment.phi_u0_deg=0,1", "a list as [1, 5]"),
-        ("validate reset_sweep --set alignment.phi=1", "[alignment] phi: unknown key"),
-        ("validate reset_sweep --set study.seed.x=1", "is below a value"),
         ("validate reset_sweep --set coarse={}", "coarse: cannot be dropped"),
-        (f"validate reset_sweep --set study.window_s={NESTED}", ": is nested too deeply"),
+        (f"validate reset_sweep --set study.window_s={'[' * 20_000}", "too deeply"),
+        ("validate ..", ".."),
+        ("sweep car_test -o out", "align"),
+        ("sweep reset_sweep -o out --devices 4096", "--devices: 4096"),
+        ("align no.imu reset_sweep -o out", "[record]"),
         ("init reset_swep", "did you mean reset_sweep?"),
         ("keys reset_cont", "did you mean reset_count?"),
-        ("keys axes", "[axes]: has the"),
     ],
     ids=lambda text: text[:50],
 )
 def test_wrong_command_line_gives_one_line_error(sinsjax: Command, words: str, named: str) -> None:
     code, told, error = sinsjax(*words.split())
     assert (code, told, error.count("\n")) == (2, "", 1)
-    assert error.startswith("error: ") and named in error
+    assert error.startswith("error: ") and named in error and not Path("out").exists()
 
 
 def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
@@ -141,41 +122,20 @@ def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
 
 
-def test_every_command_warns_once_of_a_band_below_the_noise(sinsjax: Command) -> None:
-    Path("short.toml").write_text(tomli_w.dumps(small_tables(study={"settle_bands_arcmin": [60]})))
-    variables = {"feedback_interval_s": {"candidates": [1.0, 2.0]}}
-    tune = {"searches": ["grid"], "variables": variables, "objective_band_arcmin": 60}
-    Path("tuned.toml").write_text(tomli_w.dumps(small_tables(tune=tune)))
-    warning = "10' cannot be reached reliably with these sensors in 6 s (1,300', 2 sigma of"
-    assert sinsjax("validate", "short")[1].count(f"Warning: {warning}") == 1
-    for command, study in {"run": "short", "sweep": "short", "tune": "tuned"}.items():
-        code, told, error = sinsjax(command, study, "-o", command)
-        assert code == 0 and warning not in told and error.count(f"Warning: {warning}") == 1
-    assert "Band  " in sinsjax("report", "sweep")[1]
-
-
 def test_replace_changes_given_keys_and_what_follows_from_them() -> None:
     study = package.load_study("reset_sweep")
     assert study.replace({}) == study
-    longer = study.replace({"study.duration_s": 1200.0, "alignment.phi_u0_deg": 12.0})
-    assert longer.duration_s == 1200.0 and longer.n_variants == 56
+    assert study.replace({"alignment.phi_u0_deg": 12.0}).n_variants == 56
     drawn = study.replace({"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
     assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
     template = package.load_study(files.template_files()["sweep"])
-    assert template.study.window_s == (200.0, 300.0)
     assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
     assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
-    cases = [{"case": "none", "reset_times_s": []}, {"case": "one", "reset_times_s": [50.0]}]
-    again = package.load_study("paper1_resets", {"cases": cases}).replace({"cases": cases[:1]})
-    assert again.values("case") == ["none"]
+    paper = package.load_study("paper1_resets")
+    assert paper.replace({"cases": paper.to_dict()["cases"][:1]}).values("case") == ["condition 1"]
 
 
-def test_keys_command_explains_key_and_section(
-    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(METHODS, "theirs", raising=False)
-    register_external(["theirs"])  # of a loaded study
+def test_keys_command_explains_key_and_section(sinsjax: Command) -> None:
     code, told, _ = sinsjax("keys", "reset_count")
-    assert code == 0 and told.count("\n") == 2
-    assert told.startswith("[resets] reset_count: default 0; methods: all but optimisation, ")
+    assert code == 0 and told.startswith("[resets] reset_count: default 0; methods: all but ")
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6

@@ -1,14 +1,16 @@
-"""Sweeps in separate processes that are killed, stopped and disturbed, and lose nothing."""
+"""Sweeps in separate processes that are killed or disturbed, and lose nothing.
+
+`python benchmarks/soak.py --minutes N` kills, stops and disturbs sweeps and tunings at random.
+"""
 
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,6 @@ from support.sweep_directories import (
     read_parts,
 )
 
-from sinsjax.execution.directory import is_intact
 from sinsjax.execution.results import read_curves, read_summary
 from sinsjax.platform import runtime
 from sinsjax.study.load import study_to_toml
@@ -29,9 +30,8 @@ from sinsjax.study.load import study_to_toml
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 ROOT = Path(__file__).parents[2]
-RECORDS = 3.0
 STUDY = small_study(
-    study={"draws": 160, "duration_s": RECORDS, "window_s": [0, RECORDS], "curves": True},
+    study={"draws": 160, "duration_s": 3.0, "window_s": [0, 3], "curves": True},
     alignment={"method": "compass", "phi_e0_deg": 0.1, "phi_n0_deg": 0.1},
     compass={"level_time_s": 1.0},
     axes={"yaw_amplitude_deg": [2.8, 0.0], "phi_u0_deg": [0.1 * i for i in range(16)]},
@@ -57,23 +57,20 @@ NAMED = (
 
 
 class Sweeps:
-    """Starter of sweeping processes into one directory."""
+    """Processes that sweep into one directory, and when each part was written there."""
 
     def __init__(self, folder: Path, out: Path) -> None:
         self.out, self._folder = out, folder
+        self.made: dict[str, int] = {}
         self.study = folder / "study.toml"
         self.study.write_text(study_to_toml(STUDY))
         self._all: list[subprocess.Popen] = []
 
     def start(
-        self,
-        *options: str,
-        point: tuple[str, str, int] = NEVER,
-        how: str = "--resume",
-        pause_s: float = 0.0,
+        self, *options: str, point: tuple[str, str, int] = NEVER, pause_s: float = 0.0
     ) -> subprocess.Popen:
-        """Return a sweeping process that is killed at a point."""
-        words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
+        """Return a process that is killed at a point, and waits after each part."""
+        words = ["sweep", self.study, "-o", self.out, "--chunk-runs", CHUNK_RUNS, *options]
         paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
         environment = {runtime.CACHE_VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
         process = subprocess.Popen(
@@ -86,9 +83,41 @@ class Sweeps:
         self._all.append(process)
         return process
 
-    def sweep(self, *options: str, how: str = "--resume") -> tuple[int, str, str]:
-        """Run a sweep to its end."""
-        return ended(self.start(*options, how=how))
+    def complete(self, *options: str) -> str:
+        """Sweep on to the end, without an error; return what is printed."""
+        code, told, error = ended(self.start("--resume", *options))
+        assert (code, error) == (0, "")
+        return told
+
+    def count(self) -> int:
+        return len(list(self.out.glob("summary/*.parquet")))
+
+    def start_and_wait(self) -> subprocess.Popen:
+        """Return a process that has written another part."""
+        there, since = self.count(), time.monotonic()
+        process = self.start("--resume", pause_s=0.2)
+        while self.count() == there:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < since + DEADLINE_S
+            time.sleep(0.002)
+        return process
+
+    def assert_sound(self, whole: Path) -> None:
+        """Check that what is there is part of the whole, and that no part was lost or made twice.
+
+        Curves go first: of the runs with a summary, they are there.
+        """
+        there, expected, now = read_parts(self.out), read_parts(whole), modification_times(self.out)
+        assert {name: expected[name] for name in there} == there
+        done = {name for name in there if name.startswith("summary")}
+        done |= {name.replace("summary", "curves") for name in done}
+        assert done <= there.keys()
+        assert {name: now.get(name) for name in self.made} == self.made
+        self.made |= {name: now[name] for name in done}
+        if done:
+            runs = read_summary(self.out)["run_id"].to_pylist()
+            assert 2 * len(runs) == CHUNK_RUNS * len(done)
+            assert read_curves(self.out, runs).num_rows == 3 * len(runs)
 
     def close(self) -> None:
         """End the remaining processes."""
@@ -103,37 +132,18 @@ def ended(process: subprocess.Popen) -> tuple[int, str, str]:
     return process.returncode, output, error
 
 
-def wait(process: subprocess.Popen, until: Callable[[], bool]) -> None:
-    """Wait until a process has done something."""
-    since = time.monotonic()
-    while not until():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < since + DEADLINE_S
-        time.sleep(0.002)
-
-
-def count(out: Path) -> int:
-    return len(list(out.glob("summary/*.parquet")))
-
-
-def written(path: Path) -> int:
-    return path.stat().st_mtime_ns if path.exists() else 0
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kills")
 
 
 @pytest.fixture(scope="module")
-def whole(folder: Path) -> Iterator[Path]:
+def whole(folder: Path) -> Path:
     """Results of an uninterrupted run on one device; all other runs here use two."""
     sweeps = Sweeps(folder, folder / "whole")
-    code, _, error = sweeps.sweep("--devices", "1")
-    assert (code, error) == (0, "")
-    assert count(sweeps.out) == CHUNKS
-    yield sweeps.out
-    sweeps.close()
+    sweeps.complete("--devices", "1")
+    assert sweeps.count() == CHUNKS
+    return sweeps.out
 
 
 @pytest.fixture
@@ -143,146 +153,53 @@ def sweeps(folder: Path, whole: Path, tmp_path: Path) -> Iterator[Sweeps]:
     sweeps.close()
 
 
-def assert_sound(out: Path, whole: Path, made: dict[str, int]) -> None:
-    """Check that results after a kill are readable, part of the whole, and lost nothing.
-
-    Args:
-        out: the directory that a process died in.
-        whole: an uninterrupted run's.
-        made: when every part was written that had been made before; those found now are added.
-    """
-    there, expected = read_parts(out), read_parts(whole)
-    assert {name: expected[name] for name in there} == there
-    summaries = {name for name in there if name.startswith("summary")}
-    assert {name.replace("summary", "curves") for name in summaries} <= there.keys()
-    now = modification_times(out)
-    assert {name: now.get(name) for name in made} == made, "a part was lost, or made twice"
-    done = summaries | {name.replace("summary", "curves") for name in summaries}
-    made |= {name: now[name] for name in done}
-    if summaries:
-        rows = read_summary(out)
-        all_rows = read_summary(whole)
-        assert rows.num_rows == CHUNK_RUNS * len(summaries) == read_summary(out).num_rows
-        assert rows.equals(all_rows.take(rows["run_id"]))
-        curves = read_curves(out, rows["run_id"].to_pylist())
-        assert curves.num_rows == RECORDS * rows.num_rows
-    if (out / "manifest.json").exists():
-        assert is_intact((out / "manifest.json").read_bytes())
-
-
 def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
     """Ten kills at named points, ten spread over the sweep, all on one directory."""
-    out, chance = sweeps.out, random.Random(5)
-    chunk_s = read_manifest_entries(whole)["wall_s"] / CHUNKS
-    named, kills = iter(NAMED), {"named": 0, "spread": 0}
-    order = "nnnn ss n s n s n s n s n s n sss".replace(" ", "")
-    made: dict[str, int] = {}
-    for point in (NEVER if kind == "s" else next(named) for kind in order):
-        before, there = written(out / "manifest.json"), count(out)
-        process = sweeps.start(point=point, pause_s=0.2)
-        if point is NEVER:
-            if kills["spread"] == 0:  # while JAX is imported and starts
-                time.sleep(2.0)
-            elif kills["spread"] == 1:  # while it compiles
-                wait(process, lambda before=before: written(out / "manifest.json") > before)
-            else:
-                wait(process, lambda there=there: count(out) > there)
+    chance, chunk_s = random.Random(5), read_manifest_entries(whole)["wall_s"] / CHUNKS
+    named = iter(NAMED)
+    for kill, kind in enumerate("nnnnssnsnsnsnsnsnsss"):
+        if kind == "n":
+            process = sweeps.start("--resume", point=next(named), pause_s=0.2)
+        elif kill == 4:  # while JAX is imported and starts
+            process = sweeps.start("--resume", pause_s=0.2)
+            time.sleep(2.0)
+        else:
+            process = sweeps.start_and_wait()
             time.sleep(chance.uniform(0, chunk_s))
-            process.send_signal(signal.SIGKILL)
-        assert ended(process)[0] == -signal.SIGKILL, point
-        kills["spread" if point is NEVER else "named"] += 1
-        assert_sound(out, whole, made)
-    assert kills == {"named": 10, "spread": 10}
-    assert count(out) < CHUNKS
-    code, told, error = sweeps.sweep()
-    assert (code, error) == (0, "")
-    assert " of 5,120 runs, already done" in told
-    assert_sound(out, whole, made)
-    assert_complete(out, whole)
-    assert read_summary(out).equals(read_summary(whole))
-    assert read_curves(out).equals(read_curves(whole))
+        if kind == "s":
+            process.kill()
+        assert ended(process)[0] == -signal.SIGKILL, kill
+        sweeps.assert_sound(whole)
+    assert next(named, None) is None and sweeps.count() < CHUNKS
+    assert " of 5,120 runs, already done" in sweeps.complete()
+    sweeps.assert_sound(whole)
+    assert_complete(sweeps.out, whole)
 
 
 def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
     """The lock is the operating system's, so it is released however the process dies."""
-    first = sweeps.start()
-    wait(first, lambda: count(sweeps.out) > 0)
+    first = sweeps.start_and_wait()
     first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
     before = modification_times(sweeps.out)
     for how in ("--resume", "--overwrite"):
-        code, _, error = sweeps.sweep(how=how)
-        assert code == 2
-        told = rf"error: {sweeps.out}: another process is writing there \(wait .*\)\n"
-        assert re.fullmatch(told, error)
+        code, _, error = ended(sweeps.start(how))
+        assert (code, error.count("\n")) == (2, 1)
+        assert error.startswith(f"error: {sweeps.out}: another process is writing there (")
     assert modification_times(sweeps.out) == before
-    first.send_signal(signal.SIGKILL)
+    first.kill()
     assert ended(first)[0] == -signal.SIGKILL
-    code, _, error = sweeps.sweep()
-    assert (code, error) == (0, "")
+    sweeps.complete()
     assert_complete(sweeps.out, whole)
 
 
-def test_sweep_stopped_by_signals_resumes_without_loss(sweeps: Sweeps, whole: Path) -> None:
-    """One signal finishes the running chunks; two end at once, and lose nothing else."""
-    out, made = sweeps.out, dict[str, int]()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        process, there = sweeps.start(pause_s=0.2), count(out)
-        wait(process, lambda there=there: count(out) > there)
-        process.send_signal(number)
-        code, told, error = ended(process)
-        assert code == 130
-        assert "Stopping after the running chunks" in " ".join(told.split())
-        done = f"{count(out) * CHUNK_RUNS:,} of {CHUNKS * CHUNK_RUNS:,} runs are in {out}"
-        again = f"sinsjax sweep {sweeps.study} -o {out} --chunk-runs {CHUNK_RUNS} --resume"
-        assert error == f"interrupted: {done} (continue: {again})\n"
-        state = read_manifest_entries(out)
-        assert state["state"] == "interrupted"
-        assert state["runs_done"] == count(out) * CHUNK_RUNS
-        assert not list(out.rglob("*.tmp")) and not (out / "figures").exists()
-        assert_sound(out, whole, made)
-    process, there = sweeps.start(pause_s=0.2), count(out)
-    wait(process, lambda: count(out) > there)
-    process.send_signal(signal.SIGSTOP)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCONT):  # the first two come together
-        process.send_signal(number)
-    code, _, error = ended(process)
-    assert code in (128 + signal.SIGINT, 128 + signal.SIGTERM) and error == ""
-    assert read_manifest_entries(out)["state"] == "running"
-    assert_sound(out, whole, made)
-    code, _, error = sweeps.sweep()
-    assert (code, error) == (0, "")
-    assert_sound(out, whole, made)
-    assert_complete(out, whole)
-
-
-MORE = 200
-
-
-@pytest.mark.parametrize(
-    ("point", "began"),
-    [
-        (("half", "*/manifest.json", 1), False),
-        (("after", "*/manifest.json", 1), False),
-        (("after", "*/study.toml", 1), False),
-        (("half", "summary/*", 1), True),
-        (("after", "summary/*", 1), True),
-    ],
-)
-def test_killed_extension_keeps_existing_results(
-    sweeps: Sweeps, whole: Path, point: tuple[str, str, int], began: bool
-) -> None:
+@pytest.mark.parametrize("file", ["*/manifest.json", "summary/*"])
+def test_killed_extension_keeps_existing_results(sweeps: Sweeps, whole: Path, file: str) -> None:
     """No part of the results is replaced, so their number never decreases."""
-    out, before = sweeps.out, read_parts(whole)
-    shutil.copytree(whole, out)
-    there = modification_times(out)
-    process = sweeps.start("--draws", str(MORE), point=point)
-    assert ended(process)[0] == -signal.SIGKILL
-    assert {name: modification_times(out)[name] for name in there} == there
-    rows = read_summary(out)
-    assert rows["draw_id"].to_numpy().max() >= STUDY.n_draws - 1
-    assert (rows.num_rows > CHUNKS * CHUNK_RUNS) <= began
-    code, _, error = sweeps.sweep("--draws", str(MORE))
-    assert (code, error) == (0, "")
-    assert {name: content for name, content in read_parts(out).items() if name in before} == before
-    rows = read_summary(out)
-    assert rows["run_id"].to_pylist() == list(range(MORE * STUDY.n_variants))
+    out, more = Path(shutil.copytree(whole, sweeps.out)), ("--draws", "200")
+    parts, times = read_parts(out), modification_times(out)
+    assert ended(sweeps.start("--resume", *more, point=("half", file, 1)))[0] == -signal.SIGKILL
+    assert times.items() <= modification_times(out).items()
+    assert read_summary(out).num_rows >= CHUNKS * CHUNK_RUNS
+    sweeps.complete(*more)
+    assert parts.items() <= read_parts(out).items()
+    assert read_summary(out)["run_id"].to_pylist() == list(range(200 * STUDY.n_variants))

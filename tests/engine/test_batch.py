@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.batches import all_runs, assert_same, batch_of, break_variant, lay_out
 from support.studies import small_study
 
-from sinsjax.engine import batch
+from sinsjax.engine import batch, samples, scenario
 
 DRAWS, VARIANTS = 50, 6
 
@@ -119,3 +119,43 @@ def test_every_run_occupies_exactly_one_lane(
     assert sorted(runs) == every
     if force == "measured":
         assert runs == every
+
+
+DAY_S = 86_400.0
+
+
+@pytest.mark.nightly
+@pytest.mark.optimised(False)
+@pytest.mark.parametrize(("specific_force", "most_bytes"), [("measured", 50e6), ("gravity", 3e8)])
+def test_day_long_run_allocates_no_large_array(specific_force: str, most_bytes: float) -> None:
+    """Curves of 12 MB, and their copy; with gravity, 8 tiles share a covariance.
+
+    A record would have 415 MB, and idle lanes eight times the curves.
+    """
+    study = small_study(
+        study={"duration_s": DAY_S, "draws": 1}, alignment={"specific_force": specific_force}
+    )
+    part = batch_of(study, curves=True)
+    layout = part.lay_out()
+    assert layout.curve_lanes == 1 and part.spec.intervals == DAY_S
+    memory = batch.trace_program(part, layout).compiled().memory_analysis()
+    assert 6e6 < memory.temp_size_in_bytes + memory.output_size_in_bytes < most_bytes
+
+
+@pytest.mark.nightly
+@pytest.mark.optimised(False)
+def test_curves_without_stored_increments_match_stored_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Equal to rounding, forward and backward: the formulas are the same, the loop differs."""
+    study = small_study(
+        study={"draws": 2, "duration_s": 2.0, "window_s": [0, 2]},
+        passes={"stored_s": 1.0},
+        alignment={"method": "compass"},
+    )
+    _, stored = all_runs(batch_of(study, curves=True))
+    monkeypatch.setattr(scenario, "MOST_STORED_SAMPLES", 0)
+    monkeypatch.setattr(samples, "SAMPLES_PER_CALL", 30)
+    runs = batch_of(study, curves=True)
+    assert runs.environment.increments is None
+    assert_same(all_runs(runs)[1], stored, 1e-10)

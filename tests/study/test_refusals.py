@@ -7,7 +7,6 @@ from support.plain_studies import (
     COMPASS,
     RECORDED,
     SIMULATED,
-    TABULAR,
     build_study,
     merge_tables,
     refusal_line,
@@ -153,12 +152,3 @@ record.axes_order = "yxz"                    -> [record] axes_order: 'yxz' left-
 """)
 def test_invalid_recorded_studies_are_refused(refusal):
     refusal.check(refusal_line(RECORDED, **refusal.tables))
-
-
-@refused("""
-record.gyro_unit = "rad"                     -> [record] gyro_unit: 'rad' rad_per_s deg_per_s
-record.gyro_columns = ["a", "b"]             -> [record] gyro_columns[2]: required
-record.time_column = "gx"                    -> [record] gyro_columns: 'gx'
-""")
-def test_invalid_tabular_record_keys_are_refused(refusal):
-    refusal.check(refusal_line(merge_tables(RECORDED, record=TABULAR), **refusal.tables))

@@ -58,9 +58,7 @@ def test_turns_repeat_until_the_end_and_the_last_keeps_its_rate():
     ("method", "motion", "warned"),
     [
         ("kalman5", FAST, True),
-        ("compass", FAST, True),
         ("inertial", FAST, True),
-        ("inertial", FAST | {"turn_angles_deg": 1e6, "turn_rate_deg_per_s": 200.0}, False),
         ("inertial", FAST | THERE_AND_BACK, False),
         ("kalman10", FAST, False),
         ("kalman5", {}, False),
@@ -134,6 +132,3 @@ def test_bad_file_is_one_line(times, angles, text, tmp_path):
     Path(study.motion.attitude_file).unlink()
     with pytest.raises(InputError, match=r"attitude\.csv: cannot be read"):
         prepare_job(study)
-
-
-# Logs of a base that is turned become studies that use the turns
