@@ -7,7 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
+from support.refusals import refusal_line
+from support.studies import add_true_reference, small_study, with_paper_values
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution import run
@@ -79,7 +80,7 @@ def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed()
     resets = {"reset_times_s": [2.0, 4.0]}
     line = "[resets] reset_times_s: the reset at 2 s is not after the end of coarse alignment,"
     line += " at 2 s (reset later)"
-    assert refusal_line(coarse={"coarse_duration_s": 2.0}, resets=resets) == line
+    assert refusal_line(small_study, coarse={"coarse_duration_s": 2.0}, resets=resets) == line
     small_study(coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"}, resets=resets)
 
 

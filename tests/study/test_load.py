@@ -16,9 +16,8 @@ from support.plain_studies import (
     TABULAR,
     build_study,
     merge_tables,
-    refusal_lines,
 )
-from support.refusals import assert_named
+from support.refusals import assert_named, refusal_lines
 from support.studies import small_study, with_paper_values
 
 import sinsjax
@@ -73,7 +72,9 @@ def test_recorded_study_has_one_draw_per_start_time():
     assert build_study(RECORDED, record={"start_s": [0, 30, 60]}).n_draws == 3
     assert build_study(RECORDED, record={"from_s": 30}).record.start_s == (30.0,)
     assert build_study(RECORDED, study={"rate_hz": 199.8}).record_every == 200  # the nearest
-    assert_named(refusal_lines(study={"rate_hz": 199.8})[0], "[study] record_interval_s", "1")
+    assert_named(
+        refusal_lines(build_study, study={"rate_hz": 199.8})[0], "[study] record_interval_s", "1"
+    )
     # Its file may give the rate.
     study = study_from_dict(with_paper_values(RECORDED | {"study": {"duration_s": 300.0}}))
     assert fingerprint(with_rate(study, 100.0)) == fingerprint(build_study(RECORDED))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.batches import batch_of, batches_of
 from support.plain_studies import merge_tables
-from support.refusals import refused
+from support.refusals import refusal_line, refusal_lines, refused
 from support.studies import BASE, small_study
 
-from sinsjax import InputError, study_from_dict
+from sinsjax import study_from_dict
 from sinsjax.methods.filters.keys import surge_density
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import processes
@@ -90,12 +90,6 @@ def test_given_q_is_read_in_its_unit(filter_, accel, gyro):
     assert fingerprint(study_from_dict(study.to_dict())) == fingerprint(study)
 
 
-def refusal_lines(base: dict[str, Any] = BASE, **changes: Any) -> list[str]:
-    with pytest.raises(InputError) as caught:
-        make_study(base, **changes)
-    return [line.removeprefix("study: ") for line in caught.value.lines]
-
-
 @refused("""
 filter = {q_accel_ug = 500.0, q_gyro_deg_per_h = 0.1}
     -> [filter] q_reading: required q_accel_ug q_gyro_deg_per_h 'psd' 'per_sample' 'per_step'
@@ -111,12 +105,11 @@ motion.surge_m_per_s = 0.1 & drawn.surge_time_s.values = [2, 8]
     -> [filter] r_velocity_m_per_s: required surge_time_s
 """)
 def test_noise_that_is_not_known_is_refused(refusal):
-    (line,) = refusal_lines(**refusal.tables)
-    refusal.check(line)
+    refusal.check(refusal_line(make_study, **refusal.tables))
 
 
 def test_filter_of_record_requires_q():
-    assert len(refusal_lines(RECORDED)) == 2
+    assert len(refusal_lines(make_study, RECORDED)) == 2
     assert make_study(RECORDED, filter=GIVEN).has("filter")
     assert make_study(RECORDED, alignment={"method": "inertial"}).is_recorded
 
