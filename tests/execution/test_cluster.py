@@ -1,10 +1,13 @@
 """Dask workers produce the bytes of a local run, also if they are lost or late."""
 
+import json
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import SimpleNamespace
 
@@ -166,10 +169,26 @@ def test_lost_and_late_workers_give_same_bytes_as_local_run(local_parts, tmp_pat
 
 @pytest.mark.nightly
 def test_lost_scheduler_is_reported_and_results_are_kept(local_parts, tmp_path):
-    with workers_with({}) as one:
-        line = rf"^{one.scheduler_address}: lost the scheduler \(completed chunks are stored"
+    about, null = tmp_path / "scheduler.json", subprocess.DEVNULL
+    words = ("--no-dashboard", "--scheduler-file", str(about))
+    commands = ("scheduler", "--host", "127.0.0.1", "--port", "0"), ("worker", "--nthreads", "1")
+    scheduler, worker = (
+        subprocess.Popen([sys.executable, "-m", "dask", *command, *words], stdout=null, stderr=null)
+        for command in commands
+    )
+    try:
+        address, until = "", time.monotonic() + 60.0
+        while not address and time.monotonic() < until:
+            time.sleep(0.05)
+            with suppress(FileNotFoundError, json.JSONDecodeError):
+                address = json.loads(about.read_text())["address"]
+        line = rf"^{address}: lost the scheduler \(completed chunks are stored"
         with pytest.raises(InputError, match=line):
-            sweep_until(one.close, one.scheduler_address, tmp_path / "out")
+            sweep_until(scheduler.kill, address, tmp_path / "out")
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait(timeout=60)
     parts = read_parts(tmp_path / "out")
     assert len(parts) >= 3 and parts.items() <= local_parts.items()
 
