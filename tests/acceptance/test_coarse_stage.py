@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
+from support.refusals import refusal_line
+from support.studies import add_true_reference, small_study, with_paper_values
 
 from sinsjax.arena.simulated_record import simulated_record
 from sinsjax.execution import run
@@ -53,7 +54,7 @@ def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed() -
 
 def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed() -> None:
     resets = {"reset_times_s": [2.0, 4.0]}
-    line = refusal_line(coarse={"coarse_duration_s": 2.0}, resets=resets)
+    line = refusal_line(small_study, coarse={"coarse_duration_s": 2.0}, resets=resets)
     assert line.startswith("[resets] reset_times_s: the reset at 2 s is not after the end of")
     small_study(coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"}, resets=resets)
 

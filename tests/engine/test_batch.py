@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.batches import all_runs, assert_same, batch_of, break_variant, lay_out
+from support.batches import all_runs, assert_same, batch_of
 from support.studies import small_study
 
 from sinsjax.engine import batch, samples, scenario
@@ -53,6 +53,37 @@ def pair(request: pytest.FixtureRequest) -> tuple[Any, tuple]:
     """A batch, and all its runs in one call."""
     runs = six_variants(request.param)
     return runs, all_runs(runs, devices=1, tiles_per_chunk=64)
+
+
+def break_variant(runs, variant):
+    """Return a batch in which one variant starts from an angle that is no number."""
+    phi = runs.params.phi
+    up = np.where(np.arange(len(phi.z)) == variant, np.nan, phi.z)
+    return runs._replace(params=runs.params._replace(phi=phi._replace(z=up)))
+
+
+def lay_out(study, tiles_per_chunk):
+    """Return, chunk by chunk, the runs of its lanes: as planned, and as its tiles have them.
+
+    The p0 of the last state, in degrees, numbers the variants from 1.
+    """
+    runs = batch_of(study)
+    layout, chunks = runs.lay_out(tiles_per_chunk=tiles_per_chunk), []
+    for number in range(len(layout)):
+        places, active_lanes = layout[number], layout.active(number)
+        in_lanes = np.argsort(active_lanes.lane)
+        draws, variants = active_lanes.draw[in_lanes], active_lanes.variant[in_lanes]
+        planned = list(zip(draws.tolist(), variants.tolist(), strict=True))
+        assert {layout.chunk_of(*run) for run in planned} == {number}
+        tiles = layout.tiles_of(runs, number)
+        ids = np.asarray(tiles.draws.draw_id).reshape(*places.draw.shape[:2], -1)
+        draw = np.take_along_axis(ids, np.broadcast_to(tiles.row[:, None], places.draw.shape), 2)
+        variant = np.sqrt(tiles.params.method.p0[-1]) / np.deg2rad(1) - 1
+        active = (places.draw < runs.n_draws) & (places.variant < runs.n_variants)
+        variant = np.broadcast_to(variant[:, None], active.shape).round().astype(int)
+        given = list(zip(draw[active].tolist(), variant[active].tolist(), strict=True))
+        chunks.append((planned, given))
+    return chunks
 
 
 @pytest.mark.parametrize("devices", [1, 2])

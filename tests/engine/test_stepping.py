@@ -1,10 +1,14 @@
 """Going from event to event changes no bit."""
 
+from functools import cache, partial
 from typing import Any
 
+import jax
 import pytest
-from support.batches import assert_same, batch_of, run_tiles
+from support.batches import assert_same, batch_of
 from support.studies import small_study
+
+from sinsjax.engine.run import run_tile
 
 HEEDING = {"reset_at_feedback": [False, True], "reset_restarts_feedback": [False, True]}
 SCHEDULES = {
@@ -23,6 +27,19 @@ TRIGGERED = {
 
 SETTINGS = {"draws": 2, "curves": True}
 FEW: dict[str, list] = {"reset_times_s": [(1.37, 4.0)]}
+
+
+@cache
+def tile_program(spec, by_event):
+    return jax.jit(partial(run_tile, spec, by_event=by_event))
+
+
+def run_tiles(runs, *, by_event):
+    """Return all results of the first two tiles, which go from event to event or by samples."""
+    tiles = runs.lay_out().tiles_of(runs, 0)
+    program = tile_program(runs.spec, by_event)
+    found = [program(runs.environment, jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
+    return jax.tree.leaves(found)
 
 
 @pytest.mark.nightly(fast=("fast",))

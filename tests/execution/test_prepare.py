@@ -1,88 +1,119 @@
-"""A study is prepared with the same result for command line and Python, and changes nothing."""
+"""A study is checked and its cost forecast before anything is created."""
 
-from pathlib import Path
+import math
 
 import pytest
-from support.commands import Command, command_line
+from support.memory import limit_memory_mb
 from support.record_files import write_psins
-from support.studies import PAPER, small_study
+from support.studies import recorded_study, small_study
 
-import sinsjax
-from sinsjax.arena.simulated_record import simulated_record
+import sinsjax as package
+from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
+from sinsjax.execution import forecast
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.study.load import study_from_dict, study_to_toml
-from sinsjax.study.study import Study
+from sinsjax.platform import machine
+from sinsjax.study.load import study_to_toml
 
 pytestmark = pytest.mark.optimised(False)
 
 
 @pytest.fixture
-def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run a command line in this process; return exit code, output and error output."""
-    return command_line(monkeypatch, capsys)
-
-
-@pytest.fixture
-def recorded(tmp_path: Path) -> tuple[Path, Path, Study]:
+def recorded(tmp_path):
     """A record, its study file, and the study."""
-    study = study_from_dict(
-        {
-            "study": {"duration_s": 2.0, "window_s": [0, 2]},
-            "alignment": {"phi_u0_deg": 3.0},
-            "earth": {"latitude_deg": 32.0},
-            "record": {"format": "psins", "start_s": [0.0, 1.0]},
-            "coarse": {"coarse_duration_s": 3.0},
-            "filter": PAPER,
-        },
-        "swing",
-    )
-    write_psins(simulated_record(small_study()), tmp_path / "log.imu")
+    study = recorded_study(alignment={"phi_u0_deg": 3.0}, record={"start_s": [0.0, 1.0]})
+    write_psins(package.simulated_record(small_study()), tmp_path / "log.imu")
     (tmp_path / "swing.toml").write_text(study_to_toml(study))
     return tmp_path / "log.imu", tmp_path / "swing.toml", study
 
 
 @pytest.mark.nightly
-def test_python_align_gives_rows_of_command(
-    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
-) -> None:
+def test_python_align_gives_rows_of_command(sinsjax, recorded, tmp_path):
     log, config, study = recorded
-    code, _, error = run_command("align", log, config, "-o", tmp_path / "out")
+    code, _, error = sinsjax("align", log, config, "-o", tmp_path / "out")
     assert code == 0 and error.count("\n") == error.count("cannot be determined") == 1
-    stored, curves = sinsjax.read_summary(tmp_path / "out"), sinsjax.read_curves(tmp_path / "out")
-    for results in (sinsjax.align(log, config), sinsjax.align(str(log), study)):
+    stored, curves = package.read_summary(tmp_path / "out"), package.read_curves(tmp_path / "out")
+    for results in (package.align(log, config), package.align(str(log), study)):
         assert results.summary.cast(stored.schema).equals(stored)
         assert results.curves.cast(curves.schema).equals(curves) and curves.num_rows
-    changed = sinsjax.align(log, config, overrides={"record.start_s": [1.0]}, curves=False)
+    changed = package.align(log, config, overrides={"record.start_s": [1.0]}, curves=False)
     assert changed.summary["start_s"].to_pylist() == [1.0] and changed.curves.num_rows == 0
-    stored = sinsjax.load_increments(study, log)
-    assert sinsjax.align(stored, study).summary.equals(sinsjax.align(log, study).summary)
+    stored = package.load_increments(study, log)
+    assert package.align(stored, study).summary.equals(package.align(log, study).summary)
 
 
-def test_command_and_python_refuse_alike(
-    run_command: Command, recorded: tuple[Path, Path, Study], tmp_path: Path
-) -> None:
+def test_command_and_python_refuse_alike(sinsjax, recorded, tmp_path):
     log, config, study = recorded
-    out, late = tmp_path / "out", {"record.start_s": [100.0]}
-    words = ("align", log, config, "-o", out, "--set", "record.start_s=[100.0]")
-    code, _, error = run_command(*words)
+    out, late = tmp_path / "out", "record.start_s=[100.0]"
+    code, _, error = sinsjax("align", log, config, "-o", out, "--set", late)
     with pytest.raises(InputError) as refused:
-        sinsjax.align(log, config, overrides=late)
+        package.align(log, config, overrides={"record.start_s": [100.0]})
     assert (code, error) == (2, f"error: {refused.value}\n")
     with pytest.raises(InputError, match=r"swing: \[record\]: the study needs a record \("):
-        sinsjax.run(study)
+        package.run(study)
     with pytest.raises(InputError, match=r"has no \[record\] section to read .*log.imu with"):
-        sinsjax.align(log, small_study())
+        package.align(log, small_study())
     job = prepare_job(small_study(), directory=out)
-    assert job.directory == out and job.forecast is not None and job.forecast.runs == 3
+    assert job.directory == out and job.forecast.runs == 3
     assert not out.exists()
 
 
 @pytest.mark.parametrize(("draws", "kept"), [(1024, True), (1025, None)])
-def test_curves_are_kept_of_a_thousand_runs(draws: int, kept: bool | None) -> None:
-    study = small_study(study={"draws": draws})
-    job = prepare_job(study, keeps_few_curves=True)
-    assert job.curves is kept
-    assert [*job.notes] == [
-        "1,025 runs: curves are kept only if [study] curves = true." for _ in range(not kept)
-    ]
+def test_curves_are_kept_of_a_thousand_runs(draws, kept):
+    job = prepare_job(small_study(study={"draws": draws}), keeps_few_curves=True)
+    assert job.curves is kept and len(job.notes) == (not kept)
+
+
+@pytest.fixture
+def has(monkeypatch):
+    """A function that sets the free disk space and the memory, bytes."""
+
+    def has(disk=math.inf, memory=math.inf):
+        monkeypatch.setattr(machine, "free_disk_bytes", lambda folder: float(disk))
+        monkeypatch.setattr(machine, "available_memory_bytes", lambda: memory)
+
+    return has
+
+
+def test_study_that_exceeds_disk_or_memory_is_refused_without_listing_runs(has, tmp_path):
+    """896,000 variants, whose runs are too many for a list."""
+    out, hundredths = tmp_path / "out", [n / 100 for n in range(1000)]
+    axes = {"phi_e0_deg": hundredths[:896], "phi_u0_deg": hundredths}
+    has(disk=2e9)
+    line = f"^{out}: 896,000,000 runs need about 212.2 GB of disk space, but there are only 2.0 GB$"
+    with limit_memory_mb(200), pytest.raises(InputError, match=line):  # a list of runs is 7,000
+        package.run_into(small_study(study={"draws": 1000}, axes=axes), out)
+    has(memory=5e8)
+    line = "^study: 896,000 runs need about .*MB of memory, but there are only 500.0 MB$"
+    with pytest.raises(InputError, match=line):
+        package.run_into(small_study(study={"draws": 1}, axes=axes), out)
+    assert not out.exists()
+
+
+def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(has, tmp_path):
+    tune = {"searches": ["grid"], "grid_points": 5, "tune_draws": 4, "evaluation_draws": 8}
+    tune |= {"variables": {"p0_yaw_deg": {"low": 1, "high": 80}}}
+    study, out = small_study(tune=tune), tmp_path / "out"
+    expected = forecast.forecast_tuning(study)
+    assert expected.runs == 5 * 4 + 2 * 8
+    has(disk=35 * expected.run_bytes)
+    with pytest.raises(InputError, match="out: 36 runs need about .* of disk space"):
+        package.tune(study, out)
+    tune |= {"searches": ["sobol", "gradient"], "sobol_points": 10**9}
+    has(memory=1e12)
+    with pytest.raises(InputError, match="of memory, but there are only 1.0 TB"):
+        package.tune(small_study(tune=tune), out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("axes", "programs"),
+    [
+        ({}, 1),
+        ({"method": ["kalman5", "kalman10"], "phi_u0_deg": [1, 2, 3]}, 2),
+        ({"gyro_scale_ppm": [0, 10, 20]}, 2),
+    ],
+)
+def test_forecast_program_count_matches_engine(axes, programs):
+    study = small_study(axes=axes)
+    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).specs))

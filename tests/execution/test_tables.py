@@ -1,68 +1,133 @@
-"""Result tables: their columns, the conditions for nulls, and reading them from a directory."""
+"""Result tables: how runs end, from the truth and from the bias floor, and which cells are null."""
 
 import jax
 import numpy as np
-import pyarrow as pa
 import pytest
 from support.chunks import chunk
 from support.studies import STILL, small_study
 
-from sinsjax.engine.batch import Chunk
+import sinsjax
+from sinsjax import analysis
 from sinsjax.errors import InputError
-from sinsjax.execution import run, tables
-from sinsjax.study.study import Study
+from sinsjax.execution.tables import TableBuilder
 from sinsjax.units import ARCMIN, DEG
 
+pytestmark = pytest.mark.optimised(False)
+
 FROM_FLOOR = {"judged_from": "floor", "dwell_s": 0.0}
-"""A study that judges from the bias floor."""
+AT_THE_FLOOR = {
+    "phi_u_arcmin": [-20.0, 1.0],
+    "outside_until": [[0.0, 1.0, 2.0], [6.0, 6.0, 6.0]],
+    "from_truth": [[0.0, 6.0, 6.0], [1.0, 2.0, 3.0]],
+}
+"""The first run ends at its bias floor, the second at the truth; both have a floor of -20'."""
 
 
-def summary_of(study: Study, rows: Chunk, *, has_truth: bool = True) -> pa.Table:
-    """Return the summary of a chunk of results."""
-    builder = tables.TableBuilder(study, has_truth=has_truth)
+def tabulate(study, rows, *, has_truth=True):
+    builder = TableBuilder(study, has_truth=has_truth)
     return builder.summary_table(rows, np.arange(study.n_variants))
 
 
-def test_summary_gives_settling_times_and_status_per_run() -> None:
-    study = small_study(
-        study=FROM_FLOOR, motion=STILL, axes={"phi_u0_deg": [float(i) for i in range(4)]}
-    )
+def summary_of(rows=AT_THE_FLOOR, **sections):
+    """The summary of two runs of 6 s on a still base, by default of those at the floor."""
+    sections = {"motion": STILL, "axes": {"phi_u0_deg": [0.0, 1.0]}} | sections
+    return tabulate(small_study(**sections), chunk(**rows))
+
+
+@pytest.mark.parametrize(
+    ("settings", "level_arcmin", "status", "ok_floor", "ok_truth"),
+    [
+        ({}, 2.0, ["not_settled", "ok"], True, True),
+        ({"judged_from": "truth"}, 2.0, ["not_settled", "ok"], True, True),
+        ({"judged_from": "floor"}, 2.0, ["ok", "not_settled"], True, True),
+        # The first run is within 10' of its bias floor from 1 s to its end at 6 s.
+        ({"judged_from": "floor", "dwell_s": 5.0}, 2.0, ["ok", "not_settled"], True, False),
+        ({"judged_from": "floor", "dwell_s": 5.1}, 2.0, ["not_settled"] * 2, False, False),
+        # About floors of 1' (east) and -1' (north); from the truth 1.5' more than the band.
+        ({"level_band_arcmin": 10.0}, 8.9, ["not_settled", "ok"], True, True),
+        ({"level_band_arcmin": 10.0}, 9.1, ["not_settled", "ok"], False, True),
+        ({"level_band_arcmin": 10.0}, 11.4, ["not_settled", "ok"], False, True),
+        ({"level_band_arcmin": 10.0}, 11.6, ["not_settled"] * 2, False, False),
+        ({"level_band_arcmin": 180.0}, 170.0, ["not_settled", "ok"], True, True),
+    ],
+)
+def test_success_needs_heading_level_and_dwell(settings, level_arcmin, status, ok_floor, ok_truth):
+    """The heading is right in the first run about the bias floor, in the second about the truth."""
+    found = summary_of(AT_THE_FLOOR | {"level_arcmin": level_arcmin}, study=settings).to_pydict()
+    assert found["ok_floor"] == [ok_floor, False] and found["ok_truth"] == [False, ok_truth]
+    assert found["status"] == status and found["has_floor"] == [True, True]
+
+
+@pytest.mark.parametrize("hidden", [True, False], ids=["by a large bias", "from the method"])
+def test_run_without_north_is_no_success(hidden):
+    """Even with errors as small as these."""
+    other = {"alignment": {"method": "level"}, "axes": {"yaw_center_deg": [0, 1]}}
+    found = summary_of(AT_THE_FLOOR | {"no_north": hidden}, **{} if hidden else other).to_pydict()
+    assert found["status"] == ["no_north"] * 2
+    assert not any(found["ok_truth"] + found["ok_floor"])
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(
+    ("settings", "status"), [({}, "diverged"), ({"diverged_deg": 12.0}, "not_settled")]
+)
+def test_run_beyond_diverged_deg_is_diverged(settings, status, side):
+    off = {"phi_u_arcmin": [-20.0 + side * 11 * 60, 0.0], "outside_until": [[6.0] * 3] * 2}
+    assert summary_of(off, study=settings)["status"][0].as_py() == status
+
+
+def test_floor_columns_are_null_without_bias_floor():
+    """A biased base that sways more slowly than the run is long; null is not never."""
+    table = summary_of(study={"judged_from": "truth"}, motion={})
+    assert table["has_floor"].to_pylist() == [False, False]
+    for name in ("floor_arcmin", "settle_10_s", "nis_u", "p_above_floor_error_share", "ok_floor"):
+        assert table[name].null_count == 2, name
+    assert table["settle_10_truth_s"].to_pylist() == [None, 2.0]
+    assert table["status"].to_pylist() == ["not_settled", "ok"]
+    (row,) = analysis.summarise(table, []).to_pylist()
+    assert row["no_floor"] == 2 and row["success_truth_rate"] == 0.5
+    assert row["success_floor_rate"] is row["settle_10_s_median"] is row["never_settled_10"] is None
+    assert row["never_settled_10_truth"] == 1 and row["settle_10_truth_s_median"] == 2.0
+
+
+def test_summary_gives_settling_times_and_status_per_run():
     # Bands 60, 10, 3 arcmin; the run ends at 6 s.
     outside = [[0.0, 1.0, 6.0], [2.0, 6.0, 6.0], [6.0, 6.0, 6.0], [6.0, 6.0, 6.0]]
-    table = summary_of(study, chunk([-21.0, -5.0, 700.0, np.nan], outside))
+    rows = {"phi_u_arcmin": [-21.0, -5.0, 700.0, np.nan], "outside_until": outside}
+    table = summary_of(rows, study=FROM_FLOOR, axes={"phi_u0_deg": [0.0, 1.0, 2.0, 3.0]})
     assert table["settle_60_s"].to_pylist() == [0.0, 2.0, None, None]
     assert table["settle_10_s"].to_pylist() == [1.0, None, None, None]
     assert table["status"].to_pylist() == ["ok", "not_settled", "diverged", "not_settled"]
     assert table["phi_u_arcmin"].null_count == 1
     assert table["phi_n_arcmin"].to_pylist() == pytest.approx([2.0] * 4)
     assert table["yaw_deg"].to_pylist() == pytest.approx([1 / DEG] * 4)
-    broken = summary_of(study, chunk([0.0], [[6.0, 6.0, 6.0]], yaw=np.nan))
-    assert broken["status"].to_pylist() == ["nonfinite"]
+    broken = summary_of(AT_THE_FLOOR | {"yaw": np.nan})
+    assert broken["status"].to_pylist() == ["nonfinite"] * 2
 
 
-def test_window_statistics_of_attitude_are_in_degrees() -> None:
+def test_window_statistics_of_attitude_are_in_degrees():
     """Those of the heading error are in arcmin, with other numbers for each axis and angle."""
-    rows = chunk([0.0], [[0.0] * 3])
+    names = [f"phi_{axis}{{}}_arcmin" for axis in "enu"]
+    names += [f"{angle}{{}}_deg" for angle in ("pitch", "roll", "yaw")]
+    units, rows = [ARCMIN] * 3 + [DEG] * 3, chunk([0.0], [[0.0] * 3])
     mean, std = (
-        tuple(np.array([of * (i + 1) * unit]) for i, unit in enumerate([ARCMIN] * 3 + [DEG] * 3))
-        for of in (1.0, 0.1)
+        tuple(np.array([of * (i + 1) * unit]) for i, unit in enumerate(units)) for of in (1.0, 0.1)
     )
     rows = rows._replace(outcome=rows.outcome._replace(mean=mean, std=std))
-    table = summary_of(small_study(), rows)
-    names = ("phi_e{}_arcmin", "phi_n{}_arcmin", "phi_u{}_arcmin")
-    names += ("pitch{}_deg", "roll{}_deg", "yaw{}_deg")
+    table = tabulate(small_study(), rows)
     for suffix, of in (("_mean", 1.0), ("_std", 0.1)):
         found = [table[name.format(suffix)][0].as_py() for name in names]
         assert found == pytest.approx([of * (i + 1) for i in range(6)])
 
 
-def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
+def test_settling_time_is_reported_in_update_time_and_data_time():
     """The data that was there: what had been recorded by then, and no more than the record."""
-    axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
-    study = small_study(study=FROM_FLOOR, motion=STILL, passes={"stored_s": 2.0}, axes=axes)
+    passes = {"stored_s": 2.0}
     # The first two runs end after 2 s, the others after 6 s.
     outside = [[0.0, 1.0, 2.0], [2.0, 2.0, 2.0], [1.0, 2.0, 5.0], [3.0, 4.0, 6.0]]
-    table = summary_of(study, chunk([-21.0] * 4, outside))
+    rows = {"phi_u_arcmin": [-21.0] * 4, "outside_until": outside}
+    axes = {"passes": [1, 3], "phi_u0_deg": [0.0, 1.0]}
+    table = summary_of(rows, study=FROM_FLOOR, passes=passes, axes=axes)
     for band, settled, data in (
         (60, [0.0, None, 1.0, 3.0], [0.0, None, 1.0, 2.0]),
         (10, [1.0, None, 2.0, 4.0], [1.0, None, 2.0, 2.0]),
@@ -71,15 +136,24 @@ def test_settling_time_is_reported_in_update_time_and_data_time() -> None:
         assert table[f"settle_{band}_s"].to_pylist() == settled
         assert table[f"settle_{band}_data_s"].to_pylist() == data
     assert table["status"].to_pylist() == ["ok", "not_settled", "ok", "ok"]
+
+
+def test_cells_that_need_the_truth_are_null_without_it():
     study = small_study(passes={"stored_s": 2.0})
-    table = summary_of(study, chunk([0.0], [[0.0] * 3]), has_truth=False)
-    assert table["settle_10_data_s"].null_count == 1
-    needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_s", "floor_arcmin", "nees", "status")
-    assert all(table[name].null_count == 1 for name in needing)
+    table = tabulate(study, chunk([0.0], [[0.0] * 3]), has_truth=False)
+    needing = ("phi_u_arcmin", "phi_u_mean_arcmin", "settle_10_data_s", "floor_arcmin", "nees")
+    assert all(table[name].null_count == 1 for name in (*needing, "settle_10_s", "status"))
     left = ("pitch_deg", "yaw_mean_deg", "yaw_std_deg", "sigma_u_arcmin")
     assert not any(table[name].null_count for name in left)
 
 
-def test_single_precision_is_refused() -> None:
+@pytest.mark.parametrize("method", ["kalman5", "kalman10", "level"])
+def test_judging_from_missing_bias_floor_is_refused(method):
+    study = small_study(study={"judged_from": "floor"}, alignment={"method": method})
+    with pytest.raises(InputError, match=f"judged_from: 'floor' .*'{method}'"):
+        sinsjax.run(study)
+
+
+def test_single_precision_is_refused():
     with jax.enable_x64(False), pytest.raises(InputError, match="double precision"):
-        run.run(small_study())
+        sinsjax.run(small_study())

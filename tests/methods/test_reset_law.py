@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import Command
-from support.refusals import Refusal, refused
-from support.studies import refusal_line, small_study
+from support.refusals import Refusal, refusal_line, refused
+from support.studies import small_study
 
 from sinsjax import run
 from sinsjax.methods import reset_law
@@ -199,7 +199,7 @@ def test_schedules_by_name_are_swept_beside_times() -> None:
 def test_schedule_that_cannot_be_made_is_refused_in_one_line(refusal: Refusal) -> None:
     given = {name: LONG.get(name, {}) | table for name, table in refusal.tables.items()}
     given["resets"] = LAW | given.get("resets", {})
-    refusal.check(refusal_line(**LONG | given))
+    refusal.check(refusal_line(small_study, **LONG | given))
 
 
 # The command

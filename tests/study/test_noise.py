@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.batches import batch_of, batches_of
 from support.plain_studies import merge_tables
-from support.refusals import refusal_line, refused
+from support.refusals import refusal_line, refusal_lines, refused
 from support.studies import BASE, small_study
 
-from sinsjax import InputError, study_from_dict
+from sinsjax import study_from_dict
 from sinsjax.methods.filters.keys import surge_density
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import processes
@@ -105,12 +105,11 @@ motion.surge_m_per_s = 0.1 & drawn.surge_time_s.values = [2, 8]
     -> [filter] r_velocity_m_per_s: required surge_time_s
 """)
 def test_noise_that_is_not_known_is_refused(refusal):
-    refusal.check(refusal_line(make_study, **refusal.tables).removeprefix("study: "))
+    refusal.check(refusal_line(make_study, **refusal.tables))
 
 
 def test_filter_of_record_requires_q():
-    with pytest.raises(InputError, match=r"q_accel_ug: required[^\0]* q_gyro_deg_per_h: required"):
-        make_study(RECORDED)
+    assert len(refusal_lines(make_study, RECORDED)) == 2
     assert make_study(RECORDED, filter=GIVEN).has("filter")
     assert make_study(RECORDED, alignment={"method": "inertial"}).is_recorded
 

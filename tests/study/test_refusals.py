@@ -9,10 +9,8 @@ from support.plain_studies import (
     SIMULATED,
     build_study,
     merge_tables,
-    refusal_line,
-    refusal_lines,
 )
-from support.refusals import assert_named, refused
+from support.refusals import assert_named, refusal_line, refusal_lines, refused
 
 from sinsjax import messages
 
@@ -69,7 +67,7 @@ motion = {attitude_file = "a.csv"}           -> [motion] yaw_center_deg: attitud
 axes.attitude_file = ["a.csv", "b.csv"]      -> [axes] attitude_file: swept
 """)
 def test_simulated_study_is_refused(refusal):
-    refusal.check(refusal_line(**refusal.tables))
+    refusal.check(refusal_line(build_study, **refusal.tables))
 
 
 @refused("""
@@ -83,7 +81,7 @@ tune = {variables.p0_yaw_deg = {candidates = [1e6, 1.0]}, searches = ["grid"]}
     -> [tune.variables] with these values, p0_yaw_deg = 1000000.0: p0_yaw_deg 1000000
 """)
 def test_unusual_value_is_refused_unless_unchecked(refusal):
-    refusal.check(refusal_line(**refusal.tables))
+    refusal.check(refusal_line(build_study, **refusal.tables))
     build_study(merge_tables(SIMULATED, study={"unchecked": True}), **refusal.tables)
 
 
@@ -96,26 +94,30 @@ tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "rando
 def test_gone_key_or_value_is_refused_with_its_replacement(refusal, monkeypatch):
     monkeypatch.setitem(messages.GONE_KEYS, "filter.mass_kg", "use q_scale")
     monkeypatch.setitem(messages.GONE_VALUES, ("resets.reset_kind", "half"), "use 'scale'")
-    refusal.check(refusal_line(**refusal.tables))
+    refusal.check(refusal_line(build_study, **refusal.tables))
 
 
 def test_all_missing_required_keys_are_listed():
     required = ["[study] rate_hz", "[earth] latitude_deg", "[motion] yaw_center_deg"]
-    lines = refusal_lines({"study": {"duration_s": 900}})
+    lines = refusal_lines(build_study, {"study": {"duration_s": 900}})
     assert [line.partition(": required")[0] for line in lines] == required
-    places = [line.partition(":")[0] for line in refusal_lines(SIMULATED, earth=3, motion=3)]
+    places = [
+        line.partition(":")[0] for line in refusal_lines(build_study, SIMULATED, earth=3, motion=3)
+    ]
     assert places == ["[earth]", "[motion]"]
     for stop, key in (({"half_width": 1}, "statistic"), ({"statistic": "x"}, "half_width")):
-        assert_named(refusal_lines(stop_when=stop)[0], f"[stop_when] {key}", "required")
+        assert_named(
+            refusal_lines(build_study, stop_when=stop)[0], f"[stop_when] {key}", "required"
+        )
 
 
 def test_too_many_runs_are_refused():
     axes = {key: [i / 100 for i in range(1000)] for key in ("phi_e0_deg", "phi_n0_deg")}
-    line = refusal_line(study={"draws": 1001}, axes=axes)
+    line = refusal_line(build_study, study={"draws": 1001}, axes=axes)
     assert_named(line, "[study] draws", "1001", "1000000", "1000000000")
     build_study(study={"draws": 1000}, axes=axes)
     starts = [float(i) for i in range(1001)]
-    line = refusal_line(RECORDED, record={"start_s": starts}, axes=axes)
+    line = refusal_line(build_study, RECORDED, record={"start_s": starts}, axes=axes)
     assert_named(line, "[record] start_s", "1001", "1000000", "1000000000")
 
 
@@ -135,7 +137,7 @@ axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
 """)
 def test_invalid_passes_and_compass_loops_are_refused(refusal):
     base = merge_tables(COMPASS, study={"window_s": [0, 80]})
-    refusal.check(refusal_line(base, **refusal.tables))
+    refusal.check(refusal_line(build_study, base, **refusal.tables))
 
 
 # Recorded studies
@@ -151,4 +153,4 @@ record = {format = "csv", accel_unit = "g", accel_columns = ["x", "y", "z"], gyr
 record.axes_order = "yxz"                    -> [record] axes_order: 'yxz' left-handed
 """)
 def test_invalid_recorded_studies_are_refused(refusal):
-    refusal.check(refusal_line(RECORDED, **refusal.tables))
+    refusal.check(refusal_line(build_study, RECORDED, **refusal.tables))

@@ -12,9 +12,8 @@ from support.plain_studies import (
     SIMULATED,
     build_study,
     merge_tables,
-    refusal_line,
 )
-from support.refusals import refused
+from support.refusals import refusal_line, refused
 
 from sinsjax.study import values
 from sinsjax.study.study import Study
@@ -139,7 +138,7 @@ drawn.phi_u0_deg.values = [1, 2, 3, 4]       -> [drawn] phi_u0_deg.values: 4 3
 """)
 def test_invalid_drawn_tables_are_refused(refusal):
     law = {} if "drawn" in refusal.tables else {"drawn": {"phi_e0_deg": {"uniform": [0, 1]}}}
-    refusal.check(refusal_line(BASE, **refusal.tables | law))
+    refusal.check(refusal_line(build_study, BASE, **refusal.tables | law))
 
 
 @BOTH
@@ -153,5 +152,5 @@ def test_invalid_drawn_tables_are_refused(refusal):
 )
 def test_draw_out_of_bounds_is_refused(laws, key, law, bound):
     table = {"sampling": laws.get("sampling", "random"), key: law}
-    line = refusal_line(BASE, drawn=table, study={"draws": 1000, "unchecked": True})
+    line = refusal_line(build_study, BASE, drawn=table, study={"draws": 1000, "unchecked": True})
     assert re.fullmatch(rf"\[drawn\] {key}: may be drawn as \S+: must .*{bound}", line)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.refusals import refused
-from support.studies import PAPER, refusal_line, small_study
+from support.refusals import refusal_line, refused
+from support.studies import PAPER, small_study
 
 from sinsjax.errors import InputError
 from sinsjax.study import search_space
@@ -45,7 +45,7 @@ reset_trigger = {candidates = ["innovation"]}
     -> with these values: trigger_threshold 'innovation'
 """)
 def test_invalid_tuning_variables_are_refused_with_place(refusal):
-    line = refusal_line(tune={"searches": ["sobol"], "variables": refusal.tables})
+    line = refusal_line(small_study, tune={"searches": ["sobol"], "variables": refusal.tables})
     refusal.check(line.removeprefix("[tune.variables] "))
 
 
@@ -72,7 +72,7 @@ def test_invalid_tune_sections_are_refused_with_place(refusal):
     told = refusal.tables.get("tune", {})
     if "variables" in told and "level_gains" not in told["variables"]:
         told["variables"] = tune["variables"] | told["variables"]
-    refusal.check(refusal_line(**refusal.tables | {"tune": tune | told}))
+    refusal.check(refusal_line(small_study, **refusal.tables | {"tune": tune | told}))
 
 
 def test_recorded_tuning_uses_start_times_as_draws():

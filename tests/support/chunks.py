@@ -11,14 +11,8 @@ from sinsjax.units import ARCMIN
 
 
 def chunk(
-    phi_u_arcmin: list[float],
-    outside_until: list[list[float]],
-    yaw: float = 1.0,
-    *,
-    from_truth: list[list[float]] | None = None,
-    level_arcmin: float = 2.0,
-    no_north: bool = False,
-) -> Chunk:
+    phi_u_arcmin, outside_until, yaw=1.0, *, from_truth=None, level_arcmin=2.0, no_north=False
+):
     """Runs of draw 0 with these final errors and ends of their time outside the bands.
 
     Their bias floor is 1' and -1' in level and -20' in heading, and biases tilt by up to 1.5'.

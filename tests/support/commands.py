@@ -13,10 +13,10 @@ from sinsjax import cli
 Command = Callable[..., tuple[int, str, str]]
 
 
-def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+def command_line(monkeypatch, capsys):
     """Return a function that runs ``sinsjax``: exit code, output and error output."""
 
-    def call(*words: object) -> tuple[int, str, str]:
+    def call(*words):
         monkeypatch.setattr(sys, "argv", ["sinsjax", *map(str, words)])
         # Under `python -m pytest`, help would name that module.
         monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
@@ -28,7 +28,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     return call
 
 
-def run_python(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(script, **environment):
     """Run a script in a fresh interpreter, free of this one's settings."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_", "JAX_", "SINSJAX_"))}
     kept["PYTHONPATH"] = str(Path(cli.__file__).parents[2])

@@ -11,11 +11,8 @@ import gc
 import os
 from contextlib import suppress
 from functools import wraps
-from pathlib import Path
-from typing import Any
 
 import jax
-import pytest
 from jax._src import compiler  # no public setting says what is compiled everywhere in a process
 
 from sinsjax.engine import batch
@@ -37,13 +34,13 @@ SPARED_OPTIONS = {
 need for the optimisations that are off."""
 
 
-def has_least_optimisation(item: pytest.Item) -> bool:
+def has_least_optimisation(item):
     """Whether a test requests the lowest level."""
     mark = item.get_closest_marker("optimised")
     return mark is not None and not mark.args[0]
 
 
-def set_optimisation_level(item: pytest.Item) -> None:
+def set_optimisation_level(item):
     """Set the level that a test requests, here and in processes that it starts.
 
     JAX does not distinguish programs in memory by level; those of the other level are dropped.
@@ -56,13 +53,13 @@ def set_optimisation_level(item: pytest.Item) -> None:
     drop_programs()
 
 
-def drop_programs() -> None:
+def drop_programs():
     """Forget every program of this process; the cache on disk has those that took long."""
     batch._traced.cache_clear()
     jax.clear_caches()
 
 
-def drop_programs_above(limit_bytes: int) -> None:
+def drop_programs_above(limit_bytes):
     """Forget all programs if this process has more memory."""
     if process_bytes("VmRSS") > limit_bytes:
         drop_programs()
@@ -71,7 +68,7 @@ def drop_programs_above(limit_bytes: int) -> None:
             ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
-def share_cache(repository: Path) -> None:
+def share_cache(repository):
     """Keep compiled programs for this run's other processes and for the next run.
 
     In ``.pytest_cache`` unless ``SINSJAX_COMPILE_CACHE`` says otherwise; nowhere if others may
@@ -89,14 +86,14 @@ def share_cache(repository: Path) -> None:
         os.environ[runtime.CACHE_VARIABLE] = str(folder or 0)
 
 
-def install_spared_options() -> None:
+def install_spared_options():
     """Extend the lowest level by the `SPARED_OPTIONS`, if this JAX supports it."""
     given = getattr(compiler, "get_compile_options", None)
     if given is None:
         return
 
     @wraps(given)
-    def options(*args: Any, **settings: Any) -> Any:
+    def options(*args, **settings):
         made = given(*args, **settings)
         if jax.config.values[_LEAST_OPTION]:
             made.env_option_overrides = [*made.env_option_overrides, *SPARED_OPTIONS.items()]

@@ -14,26 +14,25 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 from sinsjax import plots
 from sinsjax.__main__ import command
 from sinsjax.platform import files
 
 
-def arm_killer(moment: str, pattern: str, number: int, pause_s: float) -> None:
+def arm_killer(moment, pattern, number, pause_s):
     """Check every file that `files.atomic_write` writes; pause after each part."""
     original_replace, left = Path.replace, itertools.count(number - 1, -1)
 
-    def is_due(now: str, target: Path) -> bool:
+    def is_due(now, target):
         is_counted = now == moment and fnmatch.fnmatch("/".join(target.parts[-2:]), pattern)
         return is_counted and next(left) == 0
 
-    def kill() -> None:
+    def kill():
         os.kill(os.getpid(), signal.SIGKILL)
 
     class Half(io.BufferedWriter):
-        def write(self, content: Any) -> int:
+        def write(self, content):
             name = Path(self.name)
             if is_due("half", name.parent / name.name.removeprefix(".").rsplit(".", 2)[0]):
                 super().write(content[: len(content) // 2])
@@ -41,7 +40,7 @@ def arm_killer(moment: str, pattern: str, number: int, pause_s: float) -> None:
                 kill()
             return super().write(content)
 
-    def replace(self: Path, target: Path) -> Path:
+    def replace(self, target):
         if is_due("before", target):
             kill()
         path = original_replace(self, target)

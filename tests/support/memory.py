@@ -1,12 +1,11 @@
 """Memory of this process, and limits on it: unlike limits on time they hold on a busy machine."""
 
 import tracemalloc
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
-def process_bytes(name: str) -> int:
+def process_bytes(name):
     """Return a line of ``/proc/self/status``, such as VmRSS or VmHWM, in bytes; 0 without it."""
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
@@ -16,7 +15,7 @@ def process_bytes(name: str) -> int:
 
 
 @contextmanager
-def limit_memory_mb(limit: float) -> Iterator[None]:
+def limit_memory_mb(limit):
     """Fail if Python and NumPy allocate more than this at any time, MB."""
     tracemalloc.start()
     try:

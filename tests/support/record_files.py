@@ -1,21 +1,17 @@
 """Writing records as PSINS SIMU logs, as delimited text and as Parquet."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from sinsjax.records import Record, RecordLayout
 from sinsjax.records.layout import is_rate, parse_axes_order, unit_factor
 from sinsjax.units import ARCSEC, STANDARD_GRAVITY, micro_g
 
 
-def write_psins(
-    record: Record, path: Path, gyro_arcsec: float = 0.1, accel_ug_s: float = 125.0
-) -> None:
+def write_psins(record, path, gyro_arcsec=0.1, accel_ug_s=125.0):
     """Write a record in counts of some size; running sums are rounded, not the increments."""
     gravity = record.gravity_m_per_s2 or STANDARD_GRAVITY
     latitude, height = (
@@ -35,7 +31,7 @@ def write_psins(
         np.savetxt(file, counts, fmt="%d")
 
 
-def write_record(record: Record, path: Path, layout: RecordLayout) -> None:
+def write_record(record, path, layout):
     """Write a record in the layout's columns, units and axes."""
     time_s = record.t0_s + np.arange(1, len(record.dv) + 1) / record.rate_hz
     columns = {layout.time_column: time_s} if layout.time_column else {}
@@ -48,7 +44,7 @@ def write_record(record: Record, path: Path, layout: RecordLayout) -> None:
     write(pa.table(columns), path)
 
 
-def from_body_axes(values: np.ndarray, order: str) -> np.ndarray:
+def from_body_axes(values, order):
     """Transform (T, 3) vectors from right-front-up to a record's axes."""
     index, signs = parse_axes_order(order)
     return (values * signs)[:, np.argsort(index)]

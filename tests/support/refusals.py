@@ -10,7 +10,6 @@ its colon, and the values, keys and words that stand somewhere in the rest. Its 
 
 import re
 import tomllib
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
@@ -33,12 +32,12 @@ class Refusal(NamedTuple):
     place: str
     named: tuple[str, ...]
 
-    def check(self, line: str) -> None:
+    def check(self, line):
         """Fail unless a line names the place and all the rest."""
         assert_named(line, self.place, *self.named)
 
 
-def assert_named(line: str, place: str, *named: str) -> None:
+def assert_named(line, place, *named):
     """Fail unless a line begins with a place and a colon, and names all of the words after it."""
     assert "\n" not in line
     assert line.startswith(f"{place}:"), line
@@ -47,22 +46,27 @@ def assert_named(line: str, place: str, *named: str) -> None:
     assert not missing, f"{missing} not in {rest!r}"
 
 
-def assert_refusal(line: str, told: str) -> None:
+def assert_refusal(line, told):
     """Fail unless a line is as told: a place, a colon, and words that stand somewhere after it."""
     place, _, named = told.rpartition(": ")
     assert_named(line, place, *named.split())
 
 
-def refusal_line(call: Callable[..., object], *given: Any, **more: Any) -> str:
-    """Return the single line of the InputError of a call."""
+def refusal_lines(call, *given, **more):
+    """Return the lines of the InputError of a call, less the word that a study without file has."""
     with pytest.raises(InputError) as caught:
         call(*given, **more)
-    line = str(caught.value)
+    return [line.removeprefix("study: ") for line in caught.value.lines]
+
+
+def refusal_line(call, *given, **more):
+    """Return the only line of `refusal_lines`."""
+    (line,) = refusal_lines(call, *given, **more)
     assert line.isprintable() and len(line) < 400
     return line
 
 
-def refused(table: str) -> pytest.MarkDecorator:
+def refused(table):
     """Run a test for each `refusal` of a table; lines that begin with # are comments."""
     rows, before = [], ""
     for line in table.strip().splitlines():

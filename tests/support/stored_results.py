@@ -3,11 +3,8 @@
 import io
 import json
 import os
-from pathlib import Path
-from typing import Any
 from unittest import mock
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 
@@ -17,10 +14,9 @@ from sinsjax.execution.directory import MANIFEST, STUDY, to_sealed_json, to_seal
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
 from sinsjax.execution.tasks import Job
 from sinsjax.study.load import fingerprint, sections_to_json, study_to_toml
-from sinsjax.study.study import Study
 
 
-def write_part(path: Path, table: pa.Table, identity: str) -> None:
+def write_part(path, table, identity):
     """Write a table as the part of a results directory that its path names, sealed."""
     chunk = {"dataset": path.parent.name, "name": path.stem, "chunk_runs": None}
     chunk["rows"] = table.num_rows
@@ -29,7 +25,7 @@ def write_part(path: Path, table: pa.Table, identity: str) -> None:
     path.write_bytes(to_sealed_parquet(table, marks))
 
 
-def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
+def write_manifest(directory, study, **entries):
     """Write a sealed manifest of the existing parts; ``entries`` replace some entries."""
     parts = directory.glob("summary/part-*.parquet")
     defaults = {
@@ -45,13 +41,7 @@ def write_manifest(directory: Path, study: Study, **entries: Any) -> None:
     (directory / MANIFEST).write_bytes(to_sealed_json(defaults | entries))
 
 
-def store_results(
-    directory: Path,
-    study: Study,
-    summary: pa.Table | None = None,
-    curves: pa.Table | None = None,
-    **entries: Any,
-) -> Path:
+def store_results(directory, study, summary=None, curves=None, **entries):
     """Write tables as the results of a study; return the directory."""
     for name, table in {"summary": summary, "curves": curves}.items():
         if table is not None:
@@ -61,12 +51,7 @@ def store_results(
     return directory
 
 
-def report_text(
-    *directories: Path,
-    html: Path | None = None,
-    full: bool = True,
-    width: int | None = 1000,
-) -> str:
+def report_text(*directories, html=None, full=True, width=1000):
     """Return the printed report of some results, of this width; None for that of a pipe."""
     file = io.StringIO()
     with mock.patch.dict(os.environ, {} if width is None else {"COLUMNS": str(width)}):

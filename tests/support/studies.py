@@ -1,22 +1,16 @@
 """Small studies for the tests: a swinging base with the papers' sensors."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import pytest
 
 from sinsjax.arena.simulated_record import simulated_record
-from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
-from sinsjax.records import Record, Reference
+from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.keys import alternative_keys
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.study import Study
 from support.record_files import write_psins
 
-BASE: dict[str, dict[str, Any]] = {
+BASE = {
     "study": {"duration_s": 6.0, "rate_hz": 100.0, "draws": 3, "window_s": [2, 6]},
     "earth": {"latitude_deg": 32.0},
     "motion": {
@@ -44,50 +38,43 @@ STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
 PAPER = {"q_accel_ug": 500.0, "q_gyro_deg_per_h": 0.1, "q_reading": "per_step"}
 """Q as paper 1 prints it, in [filter]."""
 
-FEEDBACK = "feedback_interval_s"
-PAPER_FEEDBACK = {FEEDBACK: 1.0}
+FEEDBACK, PAPER_FEEDBACK_S = "feedback_interval_s", 1.0
 """The feedback of paper 1, in [alignment]."""
 
 
-def with_paper_values(tables: dict[str, Any]) -> dict[str, Any]:
+def with_paper_values(tables):
     """Give a study with filters paper 1's Q and feedback, except for what it gives itself.
 
     Tables that are not a study, and a study shorter than a feedback interval, are not changed.
     """
     alignment, filter_, axes = (tables.get(name, {}) for name in ("alignment", "filter", "axes"))
-    cases = tables.get("cases", [])
     if not all(isinstance(table, dict) for table in (alignment, filter_)):
         return tables
-    axes = axes if isinstance(axes, dict) else {}
-    zips = [table for table in axes.values() if isinstance(table, dict)]
-    rows = [row for row in cases if isinstance(row, dict)] if isinstance(cases, list) else []
-    varied = {
-        key: values
-        for table in (axes, *zips)
-        for key, values in table.items()
-        if not isinstance(values, dict)
-    }
-    varied |= {key: [row[key] for row in rows if key in row] for row in rows for key in row}
-    methods = varied.get("method", [alignment.get("method", "kalman5")])
+    axes, cases = axes if isinstance(axes, dict) else {}, tables.get("cases", [])
+    varied = (axes, *axes.values(), *(cases if isinstance(cases, list) else []))  # some are zips
+    varied = [table for table in varied if isinstance(table, dict)]
+    lists = [table["method"] for table in varied if "method" in table]
+    methods = [name for of in lists for name in (of if isinstance(of, list) else [of])]
+    methods = methods or [alignment.get("method", "kalman5")]
     if not any("filter" in METHODS[name].sections for name in methods if name in METHODS):
         return tables
-    given = {*alignment, *filter_, *varied}
+    given = {*alignment, *filter_}.union(*varied)
     given |= {other for key in given for other in alternative_keys(key)}
     paper = {key: value for key, value in PAPER.items() if key not in given}
     out = tables | {"filter": paper | filter_}
     duration_s = tables.get("study", {}).get("duration_s")
-    short = isinstance(duration_s, int | float) and duration_s < PAPER_FEEDBACK[FEEDBACK]
+    short = isinstance(duration_s, int | float) and duration_s < PAPER_FEEDBACK_S
     if FEEDBACK not in given and not short:
-        out["alignment"] = PAPER_FEEDBACK | alignment
+        out["alignment"] = {FEEDBACK: PAPER_FEEDBACK_S} | alignment
     return out
 
 
-def small_tables(**changes: Any) -> dict[str, Any]:
+def small_tables(**changes):
     """Return `BASE` with sections changed key by key; lists and new sections replace others.
 
     A key of `BASE` that is changed to None is left out. Filters have `with_paper_values`.
     """
-    data: dict[str, Any] = {name: dict(section) for name, section in BASE.items()}
+    data = {name: dict(section) for name, section in BASE.items()}
     for name, change in changes.items():
         if isinstance(change, dict) and name in data:
             merged = data[name] | change
@@ -97,12 +84,24 @@ def small_tables(**changes: Any) -> dict[str, Any]:
     return with_paper_values(data)
 
 
-def small_study(**changes: Any) -> Study:
+def small_study(**changes):
     """Return the study of `small_tables`."""
     return study_from_dict(small_tables(**changes))
 
 
-def swing_deg(time_s: np.ndarray) -> np.ndarray:
+def recorded_study(**changes):
+    """Return a study of two seconds of a record of `BASE`, with sections changed key by key."""
+    tables = {
+        "study": {"duration_s": 2.0, "window_s": [0, 2]},
+        "earth": {"latitude_deg": 32.0},
+        "record": {"format": "psins"},
+        "coarse": {"coarse_duration_s": 3.0},
+    }
+    tables |= {name: tables.get(name, {}) | section for name, section in changes.items()}
+    return study_from_dict(with_paper_values(tables), "swing")
+
+
+def swing_deg(time_s):
     """Return pitch, roll and yaw of `BASE` at some times, (n, 3), deg."""
     motion = BASE["motion"]
     sways = [
@@ -112,21 +111,21 @@ def swing_deg(time_s: np.ndarray) -> np.ndarray:
     return np.column_stack(sways) + [0.0, 0.0, motion["yaw_center_deg"]]
 
 
-def add_true_reference(record: Record) -> StoredRecord:
+def add_true_reference(record):
     """Return a record of six seconds of `BASE` with its true attitude as reference."""
     time_s = np.arange(0, 6.01, 0.01)
     return StoredRecord(record, Reference(time_s, swing_deg(time_s), "true.csv"))
 
 
-def write_swing_record(folder: Path) -> None:
+def write_swing_record(folder):
     """Write a simulated record of `BASE`, swing.imu, and its true attitude, true.csv."""
-    write_psins(simulated_record(small_study()), folder / "swing.imu")
-    time_s = np.arange(0, 6.01, 0.01)
-    rows, header = np.column_stack([time_s, swing_deg(time_s)]), "time_s,pitch_deg,roll_deg,yaw_deg"
+    record, true = add_true_reference(simulated_record(small_study()))
+    write_psins(record, folder / "swing.imu")
+    rows, header = np.c_[true.time_s, true.attitude_deg], "time_s,pitch_deg,roll_deg,yaw_deg"
     np.savetxt(folder / "true.csv", rows, delimiter=",", header=header, comments="")
 
 
-DISTURBANCES: dict[str, dict[str, Any]] = {
+DISTURBANCES = {
     "motion": {
         "surge_m_per_s": [0.1, 0.2, 0.05],
         "lever_arm_m": [1.0, -0.5, 2.0],
@@ -152,7 +151,7 @@ DRAWN_DISTURBANCES = {
 }
 
 
-def disturbed_tables(**changes: Any) -> dict[str, Any]:
+def disturbed_tables(**changes):
     """Return changes of `small_tables` with everything that disturbs, less what they draw."""
     tables = {
         name: {key: value for key, value in table.items() if key not in changes.get("drawn", {})}
@@ -160,11 +159,3 @@ def disturbed_tables(**changes: Any) -> dict[str, Any]:
     }
     required = {"filter": {"r_velocity_m_per_s": 0.1}}  # if the surge is drawn
     return tables | required | changes
-
-
-def refusal_line(**tables: Any) -> str:
-    """Return the single error line of a small study with these changes."""
-    with pytest.raises(InputError) as caught:
-        small_study(**tables)
-    (line,) = caught.value.lines
-    return line.removeprefix("study: ")

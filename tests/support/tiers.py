@@ -3,7 +3,7 @@
 import pytest
 
 
-def keep_fast_cases(items: list[pytest.Item], *, whole_files: bool) -> None:
+def keep_fast_cases(items, *, whole_files):
     """Take the marker ``nightly(fast=...)`` off the cases that it names.
 
     Args:
@@ -13,7 +13,7 @@ def keep_fast_cases(items: list[pytest.Item], *, whole_files: bool) -> None:
     Raises:
         pytest.UsageError: a marker names a case that does not exist.
     """
-    absent: dict[str, set[str]] = {}
+    absent = {}
     for item in items:
         for mark in [m for m in item.iter_markers("nightly") if "fast" in m.kwargs]:
             case, fast = item.callspec.id, mark.kwargs["fast"]

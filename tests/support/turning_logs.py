@@ -1,6 +1,5 @@
 """Records of a base that is turned about the vertical, by plain NumPy and fine substeps."""
 
-from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -24,9 +23,7 @@ class Turned(NamedTuple):
     rate_hz: float
 
 
-def turn_angle(
-    time_s: np.ndarray, times_s: Sequence[float], angles_deg: Sequence[float], rate_deg_per_s: float
-) -> tuple[np.ndarray, np.ndarray]:
+def turn_angle(time_s, times_s, angles_deg, rate_deg_per_s):
     """Return psi, rad, and its rate, of turns with ramps of 1 s whose rate is a raised cosine."""
     psi, rate = np.zeros_like(time_s), np.zeros_like(time_s)
     for begin_s, angle in zip(times_s, angles_deg, strict=True):
@@ -43,7 +40,7 @@ def turn_angle(
 Turning = tuple[tuple[float, ...], tuple[float, ...], float]
 """Begin of the turns, s, their angles, deg, and the rate, deg/s."""
 
-TURNS: dict[str, Turning] = {
+TURNS = {
     "one turn by 180": ((145.0,), (180.0,), 10.0),
     "one turn by 90": ((145.0,), (90.0,), 10.0),
     "four positions": ((70.0, 145.0, 220.0), (90.0, 90.0, 90.0), 10.0),
@@ -57,17 +54,17 @@ TURNS: dict[str, Turning] = {
 
 
 def turned_record(
-    motion: str | Turning,
+    motion,
     *,
-    length_s: float = 300.0,
-    rate_hz: float = 25.0,
-    latitude_deg: float = 48.0,
-    gyro_bias_deg_per_h: float = 1.0,
-    arw_deg_per_sqrt_h: float = 0.02,
-    accel_bias_ug: float = 500.0,
-    vrw_ug_per_sqrt_hz: float = 50.0,
-    seed: int = 1,
-) -> Turned:
+    length_s=300.0,
+    rate_hz=25.0,
+    latitude_deg=48.0,
+    gyro_bias_deg_per_h=1.0,
+    arw_deg_per_sqrt_h=0.02,
+    accel_bias_ug=500.0,
+    vrw_ug_per_sqrt_hz=50.0,
+    seed=1,
+):
     """Return the record of a body with pitch 1 and roll -2 deg, heading 35 deg before the turns.
 
     Its motion is one of `TURNS`, "parked", or begin, angle and rate of its turns.
@@ -89,9 +86,7 @@ def turned_record(
 
 
 @cache
-def _without_errors(
-    turns: Turning, length_s: float, rate_hz: float, latitude_deg: float
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _without_errors(turns, length_s, rate_hz, latitude_deg):
     dt = 1 / rate_hz / SUBSTEPS
     time_s = (np.arange(round(length_s * rate_hz) * SUBSTEPS) + 0.5) * dt
     psi, psi_rate = turn_angle(time_s, *turns)

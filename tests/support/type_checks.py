@@ -9,8 +9,6 @@ import ast
 import sys
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder, SourceFileLoader
-from types import ModuleType
-from typing import Any
 
 from beartype import beartype
 
@@ -18,28 +16,28 @@ CHECKED = "checked_by_beartype"
 
 
 class _Decorated(ast.NodeTransformer):
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+    def visit_FunctionDef(self, node):
         node.decorator_list.append(ast.copy_location(ast.Name(CHECKED, ast.Load()), node))
         return node
 
 
 class _Loader(SourceFileLoader):
-    def source_to_code(self, data: Any, path: Any, *more: Any, **options: Any) -> Any:
+    def source_to_code(self, data, path, *more, **options):
         return super().source_to_code(_Decorated().visit(ast.parse(data)), path, *more, **options)
 
-    def path_stats(self, path: str) -> Any:
+    def path_stats(self, path):
         raise OSError("the bytecode beside the source has no checks")
 
-    def exec_module(self, module: ModuleType) -> None:
+    def exec_module(self, module):
         vars(module)[CHECKED] = beartype
         super().exec_module(module)
 
 
 class _Finder(MetaPathFinder):
-    def __init__(self, package: str) -> None:
+    def __init__(self, package):
         self._package = package
 
-    def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> Any:
+    def find_spec(self, name, path, target=None):
         is_checked = name.partition(".")[0] == self._package
         spec = PathFinder.find_spec(name, path, target) if is_checked else None
         if spec and isinstance(spec.loader, SourceFileLoader):
@@ -47,7 +45,7 @@ class _Finder(MetaPathFinder):
         return spec
 
 
-def install(package: str) -> None:
+def install(package):
     """Check the calls of a package that is yet to be imported."""
     assert package not in sys.modules
     sys.meta_path.insert(0, _Finder(package))
