@@ -1,26 +1,32 @@
 """Reading the results of a program outside sinsjax: a row per run and time, with fixed columns.
 
 README.txt of an export lists the columns; their names are in the first line, others are ignored.
+Results may be in another convention than they should be: read again with the yaw mirrored or turned
+by quarter turns, in radians, or with quaternions inverted or with their scalar last, they are then
+much nearer to the truth.
 """
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sinsjax.arena.frames import from_angles, from_quaternion
+from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
 from sinsjax.arena.runs import ProgramRuns
 from sinsjax.errors import InputError
+from sinsjax.maths.rotations import correct, misalignment
 from sinsjax.messages import shorten, to_one_line
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study.identity import fingerprint
-from sinsjax.types import Quat
-from sinsjax.units import DEG
+from sinsjax.types import Quat, Vec3
+from sinsjax.units import ARCMIN, DEG
 
 _ANGLES = ["pitch_deg", "roll_deg", "yaw_deg"]
 _SIGMAS = [f"sigma_{name}" for name in _ANGLES]
@@ -30,6 +36,26 @@ _TYPES = {"study": pa.string()} | dict.fromkeys(
 )
 _LENGTH_TOLERANCE = 0.01
 _LARGEST_DEG = 1e6
+
+_LEAST = 30 * ARCMIN
+"""Median misalignment from which another reading is suspected, rad."""
+
+_BETTER, _MUCH_BETTER = 0.25, 0.1
+"""Largest share of it that a suspected reading has; the second where it is still bad."""
+
+_YAWS = {
+    "is yaw mirrored (positive the other way round)": (-1, 0.0),
+    **{f"is yaw off by {turn} deg": (1, turn) for turn in (90, -90, 180)},
+    "is yaw mirrored and from east": (-1, 90.0),
+}
+"""Signs of yaw, and turns, deg."""
+
+_QUATERNIONS = {
+    "is the scalar of the quaternions last": ([3, 0, 1, 2], 1),
+    "are the quaternions from navigation to body axes": ([0, 1, 2, 3], -1),
+    "is the scalar of the quaternions, from navigation to body axes, last": ([3, 0, 1, 2], -1),
+}
+"""Orders of quaternions, and the sign of their vectors."""
 
 
 class GivenResults(NamedTuple):
@@ -67,12 +93,11 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
         if rows.any():
             raise InputError(f"{path}: row {first_row + int(rows.argmax())}: {text}")
 
-    def read(*columns: str) -> NDArray:
-        numbers = np.stack([table[name].to_numpy() for name in columns], axis=-1)
+    def read(name: str) -> NDArray:
+        column = table[name].to_numpy()
         text = "is not finite (leave the row out: a run without one at its end counts as a failure)"
-        for column, name in zip(numbers.T, columns, strict=True):
-            refuse(~np.isfinite(column), f"column '{name}': {text}")
-        return numbers
+        refuse(~np.isfinite(column), f"column '{name}': {text}")
+        return column
 
     has_quaternions = "q_w" in names
     attitude = _QUATERNION if has_quaternions else _ANGLES
@@ -85,9 +110,9 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
         text = f"is of another study: digest {shown} there, {digest} exported"
         raise InputError(f"{path}: {text} (column 'study')")
     place = {run_id: i for i, run_id in enumerate(runs.run_id.ravel().tolist())}
-    run = np.array([place.get(run_id, -1) for run_id in read("run_id")[:, 0].tolist()])
+    run = np.array([place.get(run_id, -1) for run_id in read("run_id").tolist()])
     refuse(run < 0, "no run of the export has this run_id (see initial.csv)")
-    time_s, end_s, half = read("time_s")[:, 0], runs.end_s, 0.5 / runs.source.rate_hz
+    time_s, end_s, half = read("time_s"), runs.end_s, 0.5 / runs.source.rate_hz
     refuse((time_s < 0) | (time_s > end_s + half), f"time_s is beyond its run, 0 to {end_s:.12g} s")
     order, repeated = np.lexsort((time_s, run)), np.zeros(len(run), bool)
     repeated[order[1:]] = (np.diff(run[order]) == 0) & (np.diff(time_s[order]) < half)
@@ -95,9 +120,9 @@ def read_results(path: Path, runs: ProgramRuns, frame: str) -> GivenResults:
     sigma = np.full((len(run), 3), np.nan)
     for i, name in enumerate(_SIGMAS):
         if name in names:
-            sigma[:, i] = read(name)[:, 0] * DEG
+            sigma[:, i] = read(name) * DEG
             refuse(sigma[:, i] <= 0, f"{name} must be above 0")
-    values = read(*attitude)
+    values = np.stack([*map(read, attitude)], axis=-1)
     if has_quaternions:
         off = np.abs(np.linalg.norm(values, axis=-1) - 1) > _LENGTH_TOLERANCE
         refuse(off, f"{', '.join(_QUATERNION)} is no unit quaternion")
@@ -131,3 +156,43 @@ def _read_table(path: Path) -> tuple[pa.Table, int]:
         raise InputError(f"{path}: there is no such file") from None
     except (pa.ArrowException, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {shorten(to_one_line(str(error)), 200)}") from None
+
+
+def suspect(given: GivenResults, rows: NDArray, phi: NDArray) -> str | None:
+    """Return the convention that results seem to have, in a sentence; None without a suspicion.
+
+    Args:
+        given: results.
+        rows: last row of each run.
+        phi: (rows, 3) misalignment there, rad.
+    """
+    as_given, found = Quat(*(part[rows] for part in given.attitude)), []
+    q_true, error = jax.vmap(correct)(Vec3(*phi.T), as_given), _median_length(phi)
+    for words, attitude in _iter_readings(as_given, given.frame, given.has_quaternions):
+        now = _median_length(np.stack(jax.vmap(misalignment)(q_true, attitude), axis=-1))
+        if error > _LEAST and now <= min(_BETTER * error, max(DEG, _MUCH_BETTER * error)):
+            found.append((now, words))
+    if not found:
+        return None
+    now, words = min(found)
+    text = f"the median error is {now / ARCMIN:.3g} arcmin instead of {error / ARCMIN:.3g}"
+    return f"{words}? Read so, {text}"
+
+
+def _median_length(phi: NDArray) -> float:
+    return float(np.median(np.linalg.norm(phi, axis=-1)))
+
+
+def _iter_readings(as_given: Quat, frame: str, has_quaternions: bool) -> Iterator[tuple[str, Quat]]:
+    """Yield other readings of attitudes: what they suppose, in words, and attitudes."""
+    angles = to_angles(as_given, frame)
+    if has_quaternions:
+        for words, (order, sign) in _QUATERNIONS.items():
+            values = to_quaternion(as_given, frame)[:, order] * [1, sign, sign, sign]
+            yield words, from_quaternion(values, frame)
+    else:
+        yield "are the angles in radians", from_angles(angles / DEG, frame)
+    for words, (sign, turn) in _YAWS.items():
+        pitch, roll, yaw = angles.T
+        yaw = sign * (yaw - turn * DEG)
+        yield words, from_angles(np.stack([pitch, roll, yaw], axis=-1), frame)

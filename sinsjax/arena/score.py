@@ -1,6 +1,6 @@
 """Scoring the results of a program outside sinsjax on the draws that were exported to it.
 
-The attitudes pass through the metrics of every run (`arena.given`). Together with the rows of
+The attitudes pass through the metrics of every run (`arena.runs`). Together with the rows of
 sinsjax's own methods on the same draws they are a results directory like any other, in which the
 program is a further method.
 """
@@ -11,36 +11,27 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from sinsjax.analysis.tables import numeric_column
-from sinsjax.arena import given as engine
 from sinsjax.arena.export import read_export
 from sinsjax.arena.frames import to_angles
-from sinsjax.arena.given import GivenAttitudes
-from sinsjax.arena.results_file import GivenResults, read_results
-from sinsjax.arena.runs import ProgramRuns
-from sinsjax.arena.suspicions import suspect
+from sinsjax.arena.results_file import GivenResults, read_results, suspect
+from sinsjax.arena.runs import GivenAttitudes, ProgramRuns, judge
 from sinsjax.engine.batch import Chunk
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution.results import Results
 from sinsjax.execution.run import ProgressCallback, run_into
 from sinsjax.execution.store import write_table
-from sinsjax.execution.tables import (
-    TableBuilder,
-    make_table,
-    replace_column,
-    summary_columns,
-)
+from sinsjax.execution.tables import TableBuilder, make_table, replace_column, summary_columns
 from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
 from sinsjax.types import Quat
-from sinsjax.units import ARCMIN
 
 OWN, SCORES = "own", "scores"
 """Folders in an export: the results of sinsjax's own methods, and those that were scored."""
@@ -100,27 +91,29 @@ def score_results(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StudyWarning)  # the study was exported with these
         own = run_into(source, directory / OWN, resume=True, curves=False, on_progress=on_progress)
+    judged, phi = _judge(runs, given)
     job = Job(
         runs.study,
         curves=False,
         directory=directory / SCORES / name,
         overwrite=True,
         source=f"{source.name} with {Path(results).name}",
-        warnings=tuple(f"{name}: {line}" for line in _doubts(runs, given, own.summary)),
+        warnings=tuple(f"{name}: {line}" for line in _iter_doubts(runs, given, phi)),
     )
-    table = pa.concat_tables([_judge(runs, given), _renumber(runs, own.summary)])
-    write_table(job, table.sort_by("run_id"))
+    write_table(job, pa.concat_tables([judged, _renumber(runs, own.summary)]).sort_by("run_id"))
     return Results.read(directory / SCORES / name)
 
 
-def _judge(runs: ProgramRuns, given: GivenResults) -> pa.Table:
-    """Return the rows of a program."""
+def _judge(runs: ProgramRuns, given: GivenResults) -> tuple[pa.Table, NDArray]:
+    """Return the rows of a program, and the misalignments at the end of its runs, (runs, 3)."""
     attitudes, builder, tables = _attitudes_at_records(runs, given), TableBuilder(runs.study), []
-    final_only = attitudes.present.sum(axis=0) == 1
+    final_only, shape = attitudes.present.sum(axis=0) == 1, runs.run_id.shape
+    phi = np.empty((*shape, 3))
     for batch, condition in runs.batches():
-        draw, variant = np.divmod(np.arange(batch.n_draws * len(condition)), len(condition))
-        run = draw * len(runs.variants) + condition[variant]
-        outcome = engine.judge(batch, attitudes.select(run))
+        draw, variant = np.divmod(np.arange(shape[0] * len(condition)), len(condition))
+        run = draw * shape[1] + condition[variant]
+        outcome = judge(batch, jax.tree.map(lambda a, run=run: a[:, run], attitudes))
+        phi.reshape(-1, 3)[run] = np.stack(outcome.last.phi, axis=-1)
         table = builder.summary_table(Chunk(draw, variant, outcome, None), batch.variant_ids)
         for name in (n for n in table.column_names if n.startswith("settle_")):
             # All that is known of them is that they are settled at their end.
@@ -128,7 +121,7 @@ def _judge(runs: ProgramRuns, given: GivenResults) -> pa.Table:
             settled = pc.if_else(at_end, runs.end_s, table[name]).combine_chunks()
             table = replace_column(table, name, settled)
         tables.append(table)
-    return pa.concat_tables(tables)
+    return pa.concat_tables(tables), phi.reshape(-1, 3)
 
 
 def _attitudes_at_records(runs: ProgramRuns, given: GivenResults) -> GivenAttitudes:
@@ -181,12 +174,11 @@ def _renumber(runs: ProgramRuns, own: pa.Table) -> pa.Table:
     return make_table(schema, values | {"variant_id": variant})
 
 
-def _doubts(runs: ProgramRuns, given: GivenResults, own: pa.Table) -> Iterator[str]:
+def _iter_doubts(runs: ProgramRuns, given: GivenResults, phi: NDArray) -> Iterator[str]:
     """Yield what the file lacks, and another convention that it seems to have."""
     rows = np.bincount(given.run, minlength=runs.run_id.size)
     at_end = np.flatnonzero(given.time_s > runs.end_s - 0.5 / runs.source.rate_hz)
-    ended = given.run[at_end]
-    if len(missing := np.delete(runs.run_id.ravel(), ended)):
+    if len(missing := np.delete(runs.run_id.ravel(), given.run[at_end])):
         yield (
             f"{len(missing):,} of {len(rows):,} runs have no row at their end, {runs.end_s:.12g} s,"
             f" and count as failures: run_id {shorten(', '.join(map(str, missing)), 60)}"
@@ -196,25 +188,5 @@ def _doubts(runs: ProgramRuns, given: GivenResults, own: pa.Table) -> Iterator[s
             f"{format_count(single, 'run')} with one row only: settled at the end of a run is all"
             " that is known of the settling time"
         )
-    if len(ended):
-        truth, usual = _true_attitudes_at_end(runs), _usual_misalignments(runs, own)
-        if reading := suspect(given, at_end, Quat(*truth[:, ended]), usual[ended]):
-            yield reading
-
-
-def _true_attitudes_at_end(runs: ProgramRuns) -> NDArray:
-    """Return the true attitudes at the end of all runs, (4, runs)."""
-    truth = np.empty((4, *runs.run_id.shape))
-    for batch, condition in runs.batches():
-        last = [part[-1] for part in engine.find_starts(batch).truth]
-        truth[:, :, condition] = np.stack(last)[..., None]
-    return truth.reshape(4, -1)
-
-
-def _usual_misalignments(runs: ProgramRuns, own: pa.Table) -> NDArray:
-    """Return the median misalignment of the own methods at the end of each run, (runs, 3), rad."""
-    phi = np.stack([numeric_column(own, f"phi_{axis}_arcmin") for axis in "enu"], axis=-1)
-    phi = phi.reshape(runs.source.n_draws, -1, 3) * ARCMIN
-    conditions = range(len(runs.variants))
-    medians = [np.median(phi[:, runs.condition == k], axis=1) for k in conditions]
-    return np.stack(medians, axis=1).reshape(-1, 3)
+    if len(at_end) and (reading := suspect(given, at_end, phi[given.run[at_end]])):
+        yield reading

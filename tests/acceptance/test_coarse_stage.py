@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 import pytest
 from support.studies import add_true_reference, refusal_line, small_study, with_paper_values
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.execution import run
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study

@@ -137,14 +137,6 @@ def test_environments_and_drawn_latitudes_have_records_of_their_own(tmp_path: Pa
     np.testing.assert_allclose(biases["1"] - biases["0"], np.radians(10 / 3600) / 100, rtol=1e-6)
 
 
-def test_truth_is_the_bases_attitude(tmp_path: Path) -> None:
-    folder = export_study(study(), tmp_path / "seen")
-    truth = pq.read_table(folder / "truth.parquet").to_pandas()
-    row = truth[(truth["draw_id"] == 1) & (truth["time_s"] == 3.0)].iloc[0]
-    assert row["yaw_deg"] == pytest.approx(10 + 2.8 * np.sin(2 * np.pi * 3 / 10), abs=1e-9)
-    assert row["pitch_deg"] == pytest.approx(1.8 * np.sin(np.pi), abs=1e-9)
-
-
 def test_interrupted_export_is_unfinished(tmp_path: Path) -> None:
     def stop(progress: Any) -> None:
         raise KeyboardInterrupt

@@ -12,7 +12,7 @@ import pytest
 from support.stored_results import report_text
 from support.studies import small_study, with_paper_values
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import prepare, run
 from sinsjax.execution.checks import band_warnings

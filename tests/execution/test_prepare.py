@@ -8,7 +8,7 @@ from support.record_files import write_psins
 from support.studies import PAPER, small_study
 
 import sinsjax
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.load import study_from_dict, study_to_toml

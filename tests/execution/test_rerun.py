@@ -14,7 +14,7 @@ from support.stored_results import write_part
 from support.studies import add_true_reference, small_study, with_paper_values
 from support.sweep_directories import STUDIES, make_study
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run

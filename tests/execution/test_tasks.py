@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from support.studies import PAPER, small_study
 from support.sweep_directories import STUDIES, make_study, read_parts
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.engine.batch import LANES, map_in_threads
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_curves, read_summary

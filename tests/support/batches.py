@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from sinsjax.arena.simulated_record import simulated_records
+from sinsjax.arena.export import simulated_records
 from sinsjax.engine.batch import Batch, Chunk, Chunks, map_in_threads
 from sinsjax.engine.inputs import ProgramSpec
 from sinsjax.engine.metrics import Observation, Outcome

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
 from sinsjax.records import Record, Reference
