@@ -18,7 +18,6 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from sinsjax.arena.frames import FRAMES, to_angles, to_body_axes, to_quaternion
 from sinsjax.arena.runs import ProgramRuns, find_starts
 from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
@@ -29,6 +28,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import sealed
 from sinsjax.execution.directory import STUDY, check_directory
 from sinsjax.execution.progress import ProgressCallback, RunProgress
+from sinsjax.maths.rotations import from_euler, to_euler
 from sinsjax.methods.method import Site
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
@@ -39,15 +39,10 @@ from sinsjax.study.study import Study
 from sinsjax.types import Array, Quat
 from sinsjax.units import DEG
 
+FRAMES = ("enu", "ned")  # see `_README`; of angles, only the sign of yaw differs
 RECORDS, INITIAL, README, MANIFEST = "imu", "initial.csv", "README.txt", "export.json"
-
-FORMATS = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}
-"""Formats of records, and the suffixes of their files."""
-
-_INCREMENTS = (
-    *("gyro_x_rad", "gyro_y_rad", "gyro_z_rad"),
-    *("accel_x_m_per_s", "accel_y_m_per_s", "accel_z_m_per_s"),
-)
+FORMATS = {"psins": ".txt", "csv": ".csv", "parquet": ".parquet"}  # suffixes of records
+_INCREMENTS = [f"gyro_{a}_rad" for a in "xyz"] + [f"accel_{a}_m_per_s" for a in "xyz"]
 _SCHEMA = 1
 
 _README = """\
@@ -70,8 +65,8 @@ q_w q_x q_y q_z  from body to navigation frame, scalar first
 
 Return one CSV or Parquet file, in the frame of the export, with a row for each run at `end_s` (to
 half a sample) or a history. Columns: study and run_id, of initial.csv; time_s; yaw_deg, pitch_deg,
-roll_deg, or q_w, q_x, q_y, q_z; and if you like sigma_yaw_deg, sigma_pitch_deg, sigma_roll_deg. A
-run without a row at its end is a failure. Then: sinsjax score DIR results.csv --name my_filter
+roll_deg, or q_w, q_x, q_y, q_z; and if you like sigma_yaw_deg. A run without a row at its end is a
+failure. Then: sinsjax score DIR results.csv --name my_filter
 """
 
 
@@ -83,7 +78,7 @@ def export_study(
     frame: str = "enu",
     on_progress: ProgressCallback | None = None,
 ) -> Path:
-    """Write the draws of a simulated study for a program outside sinsjax.
+    """Write the draws of a simulated study for a program outside sinsjax; return the directory.
 
     Args:
         study: study, its file, or the name of a shipped study.
@@ -91,9 +86,6 @@ def export_study(
         format: "csv", "parquet", or "psins": text without names, ``wx wy wz vx vy vz t``.
         frame: "enu" (right-front-up, yaw counter-clockwise) or "ned" (front-right-down, clockwise).
         on_progress: called with the number of written records.
-
-    Returns:
-        The directory.
 
     Raises:
         InputError: the study has no draws to export, an option is wrong, or the directory cannot be
@@ -123,11 +115,10 @@ def export_study(
 
     write(STUDY, study_to_toml(runs.source).encode())
     write(README, _README.format(study=study.name, format=format, frame=frame).encode())
-    starts, places = np.empty((6, *runs.run_id.shape)), np.empty((3, *runs.run_id.shape))
+    starts = np.empty((9, *runs.run_id.shape))
     names: dict[int, list[str]] = {}
     for batch, condition in runs.batches():
-        columns = jax.tree.leaves(find_starts(batch))
-        starts[:, :, condition] = np.reshape(columns, (len(starts), study.n_draws, -1))
+        starts[:6, :, condition] = np.reshape(find_starts(batch), (6, study.n_draws, -1))
         number = int(runs.environments[condition[0]])
         if number in names:
             continue
@@ -138,12 +129,12 @@ def export_study(
         for draw, (name, record) in enumerate(zip(names[number], records, strict=True)):
             write(name, _record_content(record, format, frame))
             place = record.latitude_deg, record.height_m, record.gravity_m_per_s2
-            places[:, draw, runs.environments == number] = np.array(place, float)[:, None]
+            starts[6:, draw, runs.environments == number] = np.array(place, float)[:, None]
             if on_progress is not None:
                 total = study.n_draws * (int(runs.environments.max()) + 1)
                 on_progress(RunProgress(len(digests) - 2, total, None, 0, "records"))
     files = np.stack([names[number] for number in runs.environments], axis=1)
-    write(INITIAL, _to_csv(_initial_table(runs, [*starts, *places, files], frame)))
+    write(INITIAL, _to_csv(_initial_table(runs, starts, files, frame)))
     manifest = {
         "schema": _SCHEMA,
         "sinsjax": runtime.package_version(),
@@ -159,11 +150,7 @@ def export_study(
 
 
 def read_export(directory: Path) -> tuple[Study, str]:
-    """Return the study and the frame of an export.
-
-    Raises:
-        InputError: it is no complete export, or one of its files has changed.
-    """
+    """Return the study and the frame of a complete export whose files have not changed."""
     check_directory(directory)
     again = "(`sinsjax export` writes one to another directory)"
     try:
@@ -186,36 +173,30 @@ def read_export(directory: Path) -> tuple[Study, str]:
     return study, manifest["frame"]
 
 
-def _initial_table(runs: ProgramRuns, columns: list[NDArray], frame: str) -> pa.Table:
-    """Return the initial solutions, one row per run, by run_id.
-
-    The columns, (draws, conditions), are the quaternion, the velocity, m/s, latitude, deg, height,
-    gravity, and the record.
-    """
-    *quaternion, east, north, latitude_deg, height, gravity, files = (c.ravel() for c in columns)
+def _initial_table(runs: ProgramRuns, starts: NDArray, files: NDArray, frame: str) -> pa.Table:
+    """Return one row per run of attitude, velocity, latitude, deg, height and gravity, (9, ...)."""
+    *quaternion, east, north, latitude_deg, height, gravity = starts.reshape(9, -1)
     attitude, run_id, source = Quat(*quaternion), runs.run_id.ravel(), runs.source
-    names = ("pitch_deg", "roll_deg", "yaw_deg")
-    angles = dict(zip(names, to_angles(attitude, frame).T / DEG, strict=True))
-    first = {name: angles[name] for name in ("yaw_deg", *names[:2])}
+    pitch, roll, yaw = to_angles(attitude, frame).T / DEG
+    first = {"yaw_deg": yaw, "pitch_deg": pitch, "roll_deg": roll}
     first |= dict(zip(("q_w", "q_x", "q_y", "q_z"), to_quaternion(attitude, frame).T, strict=True))
     first |= {"v_east_m_per_s": east, "v_north_m_per_s": north}
-    known, draw = np.tile(runs.has_start, source.n_draws), run_id // source.n_variants
-    return pa.table(
-        {
-            "run_id": run_id,
-            "draw_id": draw,
-            "variant_id": run_id % source.n_variants,
-            **{name: np.where(known, v + 0.0, np.nan) for name, v in first.items()},  # no -0
-            "latitude_deg": latitude_deg,
-            "height_m": height,
-            "gravity_m_per_s2": gravity,
-            "rate_hz": np.full(len(draw), float(source.rate_hz)),
-            "start_s": np.zeros(len(draw)),
-            "end_s": np.full(len(draw), runs.end_s),
-            "file": files,
-            "study": [fingerprint(source)] * len(draw),
-        }
-    )
+    known = np.tile(runs.has_start, source.n_draws)
+    columns = {
+        "run_id": run_id,
+        "draw_id": run_id // source.n_variants,
+        "variant_id": run_id % source.n_variants,
+        **{name: np.where(known, v + 0.0, np.nan) for name, v in first.items()},  # no -0
+        "latitude_deg": latitude_deg,
+        "height_m": height,
+        "gravity_m_per_s2": gravity,
+        "rate_hz": np.full(len(run_id), float(source.rate_hz)),
+        "start_s": np.zeros(len(run_id)),
+        "end_s": np.full(len(run_id), runs.end_s),
+        "file": files.ravel(),
+        "study": [fingerprint(source)] * len(run_id),
+    }
+    return pa.table(columns)
 
 
 def _record_content(record: Record, format: str, frame: str) -> bytes:
@@ -299,3 +280,39 @@ def _measure(
     if draws.site is not None:
         site = jax.tree.map(lambda a: a[0], draws.site)
     return jnp.stack([axis[:, 0] for axis in jax.tree.leaves(now)], axis=1), site
+
+
+_to_euler = jax.jit(jax.vmap(to_euler))
+_from_euler = jax.jit(jax.vmap(from_euler))
+
+
+def to_body_axes(vectors: NDArray, frame: str) -> NDArray:
+    """Return vectors in the body axes of a frame, (..., 3), from right, front, up."""
+    right, front, up = np.moveaxis(vectors, -1, 0)
+    return np.stack([front, right, -up] if frame == "ned" else [right, front, up], axis=-1)
+
+
+def to_angles(attitude: Quat, frame: str) -> NDArray:
+    """Return pitch, roll and yaw in a frame, rad, (runs, 3)."""
+    pitch, roll, yaw = (np.asarray(angle) for angle in _to_euler(attitude))
+    return np.stack([pitch, roll, -yaw if frame == "ned" else yaw], axis=-1)
+
+
+def from_angles(angles: NDArray, frame: str) -> Quat:
+    """Return attitudes, leaves (runs,), from pitch, roll and yaw in a frame, rad, (runs, 3)."""
+    pitch, roll, yaw = np.moveaxis(angles, -1, 0)
+    attitude = _from_euler(pitch, roll, -yaw if frame == "ned" else yaw)
+    return Quat(*(np.asarray(part) for part in attitude))
+
+
+def to_quaternion(attitude: Quat, frame: str) -> NDArray:
+    """Return quaternions in a frame, (runs, 4)."""
+    w, x, y, z = attitude
+    return np.stack([w, y, x, -z] if frame == "ned" else [w, x, y, z], axis=-1)
+
+
+def from_quaternion(quaternion: NDArray, frame: str) -> Quat:
+    """Return attitudes, leaves (runs,), from quaternions in a frame, (runs, 4), of any length."""
+    unit = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(unit, -1, 0)
+    return Quat(w, y, x, -z) if frame == "ned" else Quat(w, x, y, z)

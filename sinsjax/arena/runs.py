@@ -6,7 +6,7 @@ attitudes of a program take the place of those of a method that does nothing, an
 same observation, metrics and criteria as those of any run.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,20 +25,12 @@ from sinsjax.execution.checks import refuse_external
 from sinsjax.execution.success import require_floor
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import normalise
-from sinsjax.methods.method import (
-    INITIAL_KEYS,
-    AttitudeCovariance,
-    Options,
-    Program,
-    unknown_covariance,
-)
+from sinsjax.methods import method
 from sinsjax.methods.registry import register_external
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.types import Array, Quat
-
-_ANY_PROGRAM = "external"  # one that has no name yet
 
 
 class ProgramRuns:
@@ -53,16 +45,16 @@ class ProgramRuns:
         end_s: length of a run, s.
     """
 
-    def __init__(self, source: Study, name: str = _ANY_PROGRAM) -> None:
-        """Lay out the runs of a program; its name is refused as by `add_program`."""
+    def __init__(self, source: Study, name: str = "external") -> None:
+        """Lay out the runs of a program, or raise as `add_program`."""
         self.source, self.study = source, add_program(source, name)
         has_start = ~source.without_effect("phi_u0_deg")
         swept = (key for key in source.axis_keys if is_condition_key(key))
-        self._keys = [key for key in swept if has_start.any() or key not in INITIAL_KEYS]
+        self._keys = [key for key in swept if has_start.any() or key not in method.INITIAL_KEYS]
         condition = self._conditions(source, range(source.n_variants))
         first = np.unique(condition, return_index=True)[1]
         self.has_start = np.isin(np.arange(len(first)), condition[has_start])
-        data = [source.values(key) for key in self._keys if key not in INITIAL_KEYS]
+        data = [source.values(key) for key in self._keys if key not in method.INITIAL_KEYS]
         self.environments = _number(tuple(values[i] for values in data) for i in first)
         self.run_id = np.add.outer(source.n_variants * np.arange(source.n_draws), first)
         self.end_s = source.records * source.record_every / source.rate_hz
@@ -94,9 +86,8 @@ def add_program(study: Study, name: str) -> Study:
     """Return a study with a program as a further method, which has every condition of the others.
 
     Raises:
-        InputError: the study has no draws to give to a program: it reads a record, or one
-            repeatedly, or has results of a program; the name is that of a method of sinsjax; or
-            [axes] zips methods with other keys.
+        InputError: the study has no draws to give to a program, or [axes] zips methods with other
+            keys; or the name is that of a method of sinsjax.
     """
     if study.is_recorded:
         text = "reads a record: give that to the program (a simulated study has draws)"
@@ -109,9 +100,6 @@ def add_program(study: Study, name: str) -> Study:
     tables = study_to_tables(study)
     tables["study"]["external"] = [name]
     axes, cases = dict(tables.get("axes", {})), list(tables.get("cases", ()))
-    if any(isinstance(axis, dict) and "method" in axis for axis in axes.values()):
-        text = "zips methods with other keys (give them as [[cases]])"
-        raise InputError(f"{study.name}: [axes]: {text}")
     if any("method" in case for case in cases):
         first: dict[Any, Any] = {}  # the first case of each condition
         for case in cases:
@@ -122,33 +110,30 @@ def add_program(study: Study, name: str) -> Study:
         tables["cases"] = cases
     elif "method" in axes:
         axes["method"] = [*axes["method"], name]
-    else:
+    elif "method" in tables["alignment"]:
         axes = {"method": [tables["alignment"].pop("method"), name], **axes}
+    else:
+        text = "zips methods with other keys (give them as [[cases]])"
+        raise InputError(f"{study.name}: [axes]: {text}")
     return study_from_dict(tables | {"axes": axes}, study.name)
 
 
 class GivenAttitudes(NamedTuple):
-    """Solutions of some runs at record times, leaves (records, runs); of one run, its state.
+    """Solutions of some runs at record times, leaves (records, runs); of one run, its state."""
 
-    Attributes:
-        present: whether a run is judged at a record time.
-        attitude: from b to n; NaN counts as outside every band.
-        covariance: of its misalignment; NaN if unknown.
-    """
-
-    present: Array
-    attitude: Quat
-    covariance: AttitudeCovariance
+    present: Array  # whether a run is judged at a record time
+    attitude: Quat  # from b to n; NaN counts as outside every band
+    covariance: method.AttitudeCovariance  # of its misalignment; NaN if unknown
 
 
-def _build_external(options: Options) -> Program:
+def _build_external(options: method.Options) -> method.Program:
     """Return a method that keeps its first attitude, until others are put into its state.
 
     Runs are judged from the bias floor of a method that does not estimate the biases.
     """
-    return Program(
+    return method.Program(
         init=lambda params, nav: GivenAttitudes(
-            jnp.isfinite(nav.ve), nav.q, unknown_covariance(nav.ve)
+            jnp.isfinite(nav.ve), nav.q, method.unknown_covariance(nav.ve)
         ),
         step=lambda params, site, state, sample, n: state,
         attitude=lambda state: state.attitude,
@@ -157,35 +142,28 @@ def _build_external(options: Options) -> Program:
     )
 
 
-def find_starts(batch: Batch) -> tuple[Quat, tuple[NDArray, NDArray]]:
-    """Return the misaligned attitudes, from b to n, and velocities east and north, m/s.
-
-    Leaves are (runs,), by draw and variant of the batch.
-    """
-    return _call(_find_starts, batch)
+def find_starts(batch: Batch) -> NDArray:
+    """Return misaligned attitudes, from b to n, and velocities east and north, m/s, (6, runs)."""
+    return np.asarray(_find_starts(batch.spec, batch.environment, _tile(batch)))
 
 
 def judge(batch: Batch, given: GivenAttitudes) -> Outcome:
     """Return the outcomes of all runs of a batch of the program, by draw and variant."""
-    return _call(_judge, batch, given)
+    outcome = _judge(batch.spec, batch.environment, _tile(batch), given)
+    return jax.tree.map(np.asarray, outcome)
 
 
-def _call(function: Callable, batch: Batch, *arguments: Any) -> Any:
-    """Return a function of one tile with all runs of a batch, in NumPy."""
+def _tile(batch: Batch) -> Tiles:
+    """Return one tile with all runs of a batch, by draw and variant."""
     row = np.repeat(np.arange(batch.n_draws, dtype=np.int32), batch.n_variants)
-    params = jax.tree.map(
-        lambda a: np.tile(a, (batch.n_draws, *(1,) * (np.ndim(a) - 1))), batch.params
-    )
-    tile = Tiles(batch.draws, row, params)
-    return jax.tree.map(np.asarray, function(batch.spec, batch.environment, tile, *arguments))
+    params = jax.tree.map(lambda a: np.concatenate([a] * batch.n_draws), batch.params)
+    return Tiles(batch.draws, row, params)
 
 
 @partial(jax.jit, static_argnums=0)
-def _find_starts(
-    spec: ProgramSpec, environment: Environment, tile: Tiles
-) -> tuple[Quat, tuple[Array, Array]]:
+def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Array:
     runs = set_up(spec, environment, tile)
-    return runs.start().state.attitude, (runs.params.ve, runs.params.vn)
+    return jnp.stack([*runs.start().state.attitude, runs.params.ve, runs.params.vn])
 
 
 @partial(jax.jit, static_argnums=0)

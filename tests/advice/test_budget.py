@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 import sinsjax
-from sinsjax.advice import heading
-from sinsjax.advice.advise import scale_source
+from sinsjax.advice.advise import (
+    SOURCES,
+    Budget,
+    heading_budget,
+    scale_source,
+    sheet_problem,
+    wrapped_error,
+)
 from sinsjax.advice.sheet import Sheet, read_sheet
 from sinsjax.strapdown.processes import rounding_process
 
@@ -26,8 +32,8 @@ def sheet(**tables: Any) -> Sheet:
     return read_sheet(given | tables)
 
 
-def budget_of(given: Sheet, times_s: list[float], left_out: tuple[str, ...] = ()) -> heading.Budget:
-    return heading.heading_budget(heading.sheet_problem(given), times_s, left_out)
+def budget_of(given: Sheet, times_s: list[float], left_out: tuple[str, ...] = ()) -> Budget:
+    return heading_budget(sheet_problem(given), times_s, left_out)
 
 
 MANY = {
@@ -48,7 +54,7 @@ MANY = {
 def test_shares_are_the_slopes_of_the_bound_and_add_up(case):
     given = sheet(**(MANY if case == "many" else {}))
     budget = budget_of(given, [60.0, 200.0])
-    assert set(budget.sources) <= heading.SOURCES.keys()
+    assert set(budget.sources) <= SOURCES.keys()
     if case == "many":
         assert {"surge", "gyro_walk", "accel_quantisation", "gyro_scale"} <= {*budget.sources}
     for time_s, row in zip(budget.times_s, budget.variance, strict=True):
@@ -93,10 +99,8 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     rng = np.random.default_rng(1)
     x, y = 1 + sigma * rng.standard_normal(400_000), sigma * rng.standard_normal(400_000)
     angle = np.abs(np.arctan2(y, x))
-    assert heading.wrapped_rms(sigma) == pytest.approx(np.sqrt(np.mean(angle**2)), rel=0.01)
-    assert heading.wrapped_quantile(sigma, 0.95) == pytest.approx(
-        np.quantile(angle, 0.95), rel=0.01
-    )
+    expected = np.sqrt(np.mean(angle**2)), np.quantile(angle, 0.95)
+    assert wrapped_error(sigma) == pytest.approx(expected, rel=0.01)
 
 
 def test_rounding_process_is_what_rounding_leaves():

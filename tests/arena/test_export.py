@@ -14,8 +14,13 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.arena import export
-from sinsjax.arena.export import export_study
-from sinsjax.arena.frames import from_angles, from_quaternion, to_angles, to_quaternion
+from sinsjax.arena.export import (
+    export_study,
+    from_angles,
+    from_quaternion,
+    to_angles,
+    to_quaternion,
+)
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import misalignment
 from sinsjax.study.study import Study

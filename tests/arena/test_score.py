@@ -17,8 +17,7 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.analysis.tables import numeric_column
-from sinsjax.arena.export import export_study
-from sinsjax.arena.frames import from_angles, to_quaternion
+from sinsjax.arena.export import export_study, from_angles, to_quaternion
 from sinsjax.arena.runs import add_program
 from sinsjax.arena.score import score_results
 from sinsjax.errors import InputError
@@ -130,18 +129,12 @@ def test_results_may_be_quaternions_in_a_parquet_file_or_of_the_other_frame(
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_sigmas_give_nees_and_the_share_of_p_above_the_error(arena: Arena, tmp_path: Path) -> None:
+def test_sigma_of_the_heading_is_judged_by_the_error(arena: Arena, tmp_path: Path) -> None:
     table = arena.history()
-    for angle, sigma in (("yaw", 2.0), ("pitch", 0.1), ("roll", 0.2)):
-        table = table.append_column(f"sigma_{angle}_deg", pa.array([sigma] * len(table)))
-    score = arena.score(table, tmp_path)
-    rows = rows_of(score, "mine")
-    e, n, u = (numeric_column(rows, f"phi_{a}_arcmin") / 60 for a in "enu")
-    heading = np.radians(numeric_column(rows, "yaw_deg"))
-    about_right = np.cos(heading) * e + np.sin(heading) * n
-    about_front = -np.sin(heading) * e + np.cos(heading) * n
-    expected = (about_right / 0.1) ** 2 + (about_front / 0.2) ** 2 + (u / 2) ** 2
-    np.testing.assert_allclose(numeric_column(rows, "nees"), expected, rtol=1e-6)
+    table = table.append_column("sigma_yaw_deg", pa.array([2.0] * len(table)))
+    rows = rows_of(arena.score(table, tmp_path), "mine")
+    error = numeric_column(rows, "phi_u_arcmin") - numeric_column(rows, "floor_arcmin")
+    np.testing.assert_allclose(numeric_column(rows, "nis_u"), (error / 120) ** 2, rtol=1e-6)
     np.testing.assert_allclose(numeric_column(rows, "sigma_u_arcmin"), 120.0)
 
 
