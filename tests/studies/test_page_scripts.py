@@ -134,6 +134,10 @@ def test_comparison_runs_the_numpy_filter_and_tables_its_errors(tmp_path, run, m
     runs = grouped(
         sinsjax.read_summary(scores).to_pylist(), "method", "pitch_amplitude_deg", "phi_u0_deg"
     )
+    # The same filter and noise, but for the order of integration and feedback.
+    pair = (runs[method, 0.0, 80.0] for method in ("numpy filter", "kalman5"))
+    errors = [[one["phi_u_arcmin"] for one in found] for found in pair]
+    np.testing.assert_allclose(*errors, rtol=0.1)
     for row, method in ((ours, "numpy filter"), (own, "kalman5")):
         mean = np.mean([abs(one["phi_u_arcmin"]) for one in runs[method, 0.0, 80.0]])
         assert row["still, (10, 10, 80) deg"].startswith(f"{mean:.1f}")
