@@ -18,7 +18,7 @@ from rich.table import Table
 from timing import Row, measurement_conditions, pin_to_one_core
 
 from sinsjax.errors import InputError
-from sinsjax.platform import compile_cache, runtime
+from sinsjax.platform import runtime
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -61,7 +61,7 @@ def main(rows: Rows, *, one_core: bool = True, repeats: int = 7) -> None:
     if one_core:
         pin_to_one_core()
     else:
-        os.environ[compile_cache.VARIABLE] = "0"  # as `pin_to_one_core` does
+        os.environ[runtime.CACHE_VARIABLE] = "0"  # as `pin_to_one_core` does
         runtime.configure()
     if measured := or_exit(lambda: rows(flags.quick, flags.repeats)):
         show(measured, measurement_conditions(), as_json=flags.json)

@@ -59,7 +59,7 @@ def unable() -> str:
 
 def bounds() -> dict[str, float]:
     """Return the bounds of the instruction sets that are measured on this machine."""
-    largest = machine.instruction_set()
+    largest = machine.instruction_set("")
     if largest == "AVX512":
         return BOUNDS
     return {largest: LARGEST_AVX2_BOUND if largest == "AVX2" else BOUNDS["AVX2"]}

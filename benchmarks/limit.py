@@ -9,7 +9,7 @@ from pathlib import Path
 from timing import Workload
 
 from sinsjax.errors import InputError
-from sinsjax.platform import machine, xla
+from sinsjax.platform import machine
 
 SOURCE = Path(__file__).with_name("limit_kernel.c")
 
@@ -35,8 +35,8 @@ def find_compiler() -> str:
 
 def _architecture_option() -> str:
     """Return gcc's option for XLA's instruction set, so that kernel and engine use the same."""
-    instructions = xla.instruction_set()
-    if instructions == machine.instruction_set():
+    instructions = machine.instruction_set()
+    if instructions == machine.instruction_set(""):
         return "-march=native"
     return f"-march={_LEVELS.get(instructions, 'native')}"
 

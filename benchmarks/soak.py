@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import common
 import tomli_w
 
-from sinsjax.platform import compile_cache
+from sinsjax.platform import runtime
 
 HANGS_S = 300.0
 MOST_KILLS = 25
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the moments; 0 takes the time's")
     flags = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="sinsjax-soak-"))
-    os.environ.setdefault(compile_cache.VARIABLE, str(folder / "cache"))
+    os.environ.setdefault(runtime.CACHE_VARIABLE, str(folder / "cache"))
     path = [str(common.ROOT), os.environ.get("PYTHONPATH", "")]
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, path))
     seed = flags.seed or time.time_ns() // 10**9

@@ -9,7 +9,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from sinsjax.platform import compile_cache, machine, runtime, xla
+from sinsjax.platform import machine, runtime
 
 _FACTS = ("cpu", "instructions", "sinsjax", "jax", "jaxlib", "python")
 
@@ -102,8 +102,8 @@ def measurement_conditions() -> Row:
 
     facts, entries = runtime.info(), machine.cpu_info()
     device = jax.devices()[0]
-    present = xla.parse_flags(facts["xla_flags"])
-    missing = [name for name in xla.required_options() if name not in present]
+    present = machine.parse_xla_flags(facts["xla_flags"])
+    missing = [name for name in machine.required_xla_options() if name not in present]
     return {key: facts[key] for key in _FACTS} | {
         "family": f"{entries.get('cpu family', '?')}/{entries.get('model', '?')}",
         "ghz": float(entries["cpu MHz"]) / 1e3 if "cpu MHz" in entries else None,
@@ -118,5 +118,5 @@ def pin_to_one_core() -> None:
     """Pin this process to one core, before XLA sizes its threads; disable the compile cache."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    os.environ[compile_cache.VARIABLE] = "0"  # because compilation is timed too
+    os.environ[runtime.CACHE_VARIABLE] = "0"  # because compilation is timed too
     runtime.configure(devices=1)

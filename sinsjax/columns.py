@@ -46,16 +46,14 @@ def column(name: str, meaning: str, dtype: pa.DataType = _F) -> Column:
     return Column(name, dtype, split_unit(name)[1], meaning)
 
 
-_AXES = {"e": "east", "n": "north", "u": "up"}
 _ANGLES = ("pitch", "roll", "yaw")
 _NO_HEADING = "; null for a method that finds no heading"
+_AXES = {"e": "east", "n": "north", "u": f"up{_NO_HEADING}"}
 
 
-def _misalignment_columns(
-    prefix: str, meaning: str, suffix: str = "", *, up: str = ""
-) -> tuple[Column, ...]:
+def _misalignment_columns(prefix: str, meaning: str, suffix: str = "") -> tuple[Column, ...]:
     return tuple(
-        column(f"{prefix}_{a}{suffix}_arcmin", f"{meaning} about {name}{up if a == 'u' else ''}")
+        column(f"{prefix}_{a}{suffix}_arcmin", f"{meaning} about {name}")
         for a, name in _AXES.items()
     )
 
@@ -85,8 +83,8 @@ IDENTITY = (
 """Columns that identify the run of a row."""
 
 OBSERVED = (
-    *_misalignment_columns("phi", "misalignment of the corrected attitude", up=_NO_HEADING),
-    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment", up=_NO_HEADING),
+    *_misalignment_columns("phi", "misalignment of the corrected attitude"),
+    *_misalignment_columns("sigma", "the filter's own 1 sigma of the misalignment"),
     *_euler_angle_columns("corrected"),
     column("heading_deg", f"corrected heading, clockwise from north, 0 to 360: -yaw{_NO_HEADING}"),
 )
@@ -102,10 +100,8 @@ FLOOR = (
 """Columns of the bias floor, from which a heading may be judged."""
 
 JUDGED = (
-    *_misalignment_columns("phi", "window mean of the misalignment", "_mean", up=_NO_HEADING),
-    *_misalignment_columns(
-        "phi", "window standard deviation of the misalignment", "_std", up=_NO_HEADING
-    ),
+    *_misalignment_columns("phi", "window mean of the misalignment", "_mean"),
+    *_misalignment_columns("phi", "window standard deviation of the misalignment", "_std"),
     *_euler_angle_columns("window mean of", "_mean"),
     *_euler_angle_columns("window standard deviation of", "_std"),
     *FLOOR,

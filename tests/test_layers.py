@@ -7,7 +7,7 @@ from pathlib import Path
 import sinsjax
 
 FLOORS = (
-    {"console", "errors", "gone", "messages", "types", "units"},
+    {"errors", "messages", "types", "units"},
     {"analysis", "columns", "maths", "platform"},
     {"plots", "records", "strapdown", "value_types"},
     {"methods"},
@@ -21,10 +21,7 @@ FLOORS = (
 )
 """The ground floor first. A folder stands for all of its modules."""
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
-MEETS_PEOPLE = {"advice", "cli", "console", "execution", "plots", "report", "tuning"}
-SHARED = {"methods.method", "methods.plugins"}
-EXTENDS = ("methods.surge", "methods.sincos")
-"""A method that is another with more states."""
+MEETS_PEOPLE = {"advice", "cli", "execution", "messages", "plots", "report", "tuning"}
 
 
 def imported(path: Path) -> set[str]:
@@ -61,9 +58,9 @@ def test_imports_point_down_the_floors_and_not_in_circles():
 
 
 def test_methods_know_no_other_method_and_the_engine_knows_studies_in_one_module():
-    methods = {m for m in GRAPH["methods.registry"] if folder(m) == "methods"} - SHARED
+    methods = {m for m in GRAPH["methods.registry"] if folder(m) == "methods"} - {"methods.method"}
     for name in methods:
-        assert not {(name, other) for other in GRAPH[name] & methods - {name}} - {EXTENDS}
+        assert not GRAPH[name] & methods - {name}
     engine = {name for name in GRAPH if folder(name) == "engine"}
     assert {n for n in engine if "study" in map(folder, GRAPH[n])} == {"engine.scenario"}
 

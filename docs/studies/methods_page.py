@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from sinsjax.methods.gravity_fit.method import REFITS
+from sinsjax.methods.gravity_fit import REFITS
 from sinsjax.methods.method import Method
 from sinsjax.methods.registry import METHODS
 

@@ -19,22 +19,19 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sinsjax.arena.runs import ProgramRuns, find_starts
-from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
-from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs
+from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs, true_increments
 from sinsjax.engine.samples import TileSensors
 from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, check_directory
+from sinsjax.execution.directory import STUDY, check_directory, read_sealed_json, to_sealed_json
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.maths.rotations import from_euler, to_euler
 from sinsjax.methods.method import Site
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
 from sinsjax.records import Record
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_study, study_to_toml
+from sinsjax.study.load import fingerprint, load_study, study_to_toml
 from sinsjax.study.study import Study
 from sinsjax.types import Array, Quat
 from sinsjax.units import DEG
@@ -145,7 +142,7 @@ def export_study(
         "frame": frame,
         "files": {name: {"sha256": digest} for name, digest in digests.items()},
     }
-    write_file(out / MANIFEST, sealed.to_sealed_json(manifest))
+    write_file(out / MANIFEST, to_sealed_json(manifest))
     return out
 
 
@@ -154,7 +151,7 @@ def read_export(directory: Path) -> tuple[Study, str]:
     check_directory(directory)
     again = "(`sinsjax export` writes one to another directory)"
     try:
-        manifest = sealed.read_sealed_json(directory / MANIFEST)
+        manifest = read_sealed_json(directory / MANIFEST)
     except FileNotFoundError:
         raise InputError(f"{directory}: contains no export, or an unfinished one {again}") from None
     if manifest.get("schema") != _SCHEMA:
@@ -252,7 +249,7 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
     samples = min(spec.intervals, int(environment.pass_intervals)) * spec.interval_samples
     if environment.increments is None and environment.motion is not None:
         motion, place = environment.motion, environment.site.place
-        rows = truth.true_increments(motion, place, rate_hz, samples, axes=True)
+        rows = true_increments(motion, place, rate_hz, samples, axes=True)
         environment = environment._replace(increments=rows[:, :6], axes=rows[:, 6:])
     for number in range(batch.n_draws):
         draws = batch.select_draws(np.array([number])).draws

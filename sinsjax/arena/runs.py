@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.inputs import Environment, ProgramSpec, Tiles
 from sinsjax.engine.metrics import Outcome
-from sinsjax.engine.run import Intervals, Run, set_up
+from sinsjax.engine.run import Intervals, Run, prepare_tile
 from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError
-from sinsjax.execution.checks import refuse_external
+from sinsjax.execution.prepare import refuse_external
 from sinsjax.execution.success import require_floor
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import normalise
@@ -162,7 +162,7 @@ def _tile(batch: Batch) -> Tiles:
 
 @partial(jax.jit, static_argnums=0)
 def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Array:
-    runs = set_up(spec, environment, tile)
+    runs = prepare_tile(spec, environment, tile)
     return jnp.stack([*runs.start().state.attitude, runs.params.ve, runs.params.vn])
 
 
@@ -170,7 +170,7 @@ def _find_starts(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Ar
 def _judge(
     spec: ProgramSpec, environment: Environment, tile: Tiles, given: GivenAttitudes
 ) -> Outcome:
-    runs = set_up(spec, environment, tile)
+    runs = prepare_tile(spec, environment, tile)
     turns = runs.sensors.housing_turns(spec.intervals)
 
     def observe(run: Run, row: tuple[Intervals, GivenAttitudes]) -> tuple[Run, None]:

@@ -35,7 +35,7 @@ from sinsjax.messages import format_count, shorten, to_one_line
 from sinsjax.methods.method import unknown_covariance
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
-from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import fingerprint
 from sinsjax.types import Quat, Vec3
 from sinsjax.units import ARCMIN, DEG
 

@@ -244,13 +244,13 @@ def heading_bound(times_s: Sequence[float], problem: HeadingProblem) -> np.ndarr
         information = information + whitened.T @ whitened
         done = end
         if problem.still:
-            variances.append(_variance(np.eye(len(information))[HEADING], information))
+            variances.append(_variance_of_sum(np.eye(len(information))[HEADING], information))
         else:
-            variances.append(p[HEADING, HEADING] + _variance(response[HEADING], information))
+            variances.append(p[HEADING, HEADING] + _variance_of_sum(response[HEADING], information))
     return np.sqrt(variances)
 
 
-def _variance(sought: np.ndarray, information: np.ndarray) -> float:
+def _variance_of_sum(sought: np.ndarray, information: np.ndarray) -> float:
     """Return the variance R J^-1 R' of a sum R theta of the unknowns; infinite if unobservable."""
     scale = np.sqrt(np.diag(information))
     if not scale.all():
@@ -291,14 +291,9 @@ class StepGrid(NamedTuple):
         """Return the longest steps that the problem allows, of whole samples."""
         samples = [round(time / problem.dt) for time in times_s]
         longest = problem.dt if problem.still else problem.longest_step_s
-        per_step = _samples_per_step(math.gcd(*samples), longest / problem.dt)
+        shared, most = math.gcd(*samples), max(1, int(longest / problem.dt * (1 + 1e-9)))
+        per_step = next(n for n in range(min(most, shared), 0, -1) if shared % n == 0)
         return cls(per_step * problem.dt, [count // per_step for count in samples])
-
-
-def _samples_per_step(samples: int, longest: float) -> int:
-    """Return the largest divisor of a number of samples that is not above ``longest``, or 1."""
-    most = max(1, int(longest * (1 + 1e-9)))
-    return next(count for count in range(min(most, samples), 0, -1) if samples % count == 0)
 
 
 class Processes(NamedTuple):

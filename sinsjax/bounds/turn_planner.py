@@ -17,11 +17,11 @@ from sinsjax.bounds.information import (
     coloured_errors,
 )
 from sinsjax.errors import InputError
+from sinsjax.messages import format_facts
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.sensors import SensorErrors
-from sinsjax.study import display
 from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM, micro_g
 
 _RATE_DEG_PER_S, _RAMP_S = 10.0, 1.0
@@ -84,7 +84,7 @@ class TurnChoice(NamedTuple):
             option.name: f"{option.sigma_arcmin:.3g} arcmin{', best' * (option == self.best)}"
             for option in self.options
         }
-        return display.format_text("Least heading error (1 sigma) by motion", lines)
+        return format_facts("Least heading error (1 sigma) by motion", lines)
 
 
 def plan_turns(  # noqa: PLR0913
@@ -149,7 +149,7 @@ def plan_turns(  # noqa: PLR0913
         [140.5]
     """
     sigmas = {key: value for key, value in locals().items() if key != "latitude_deg"}
-    _check_numbers(sigmas, latitude_deg)
+    _check_sensor_numbers(sigmas, latitude_deg)
     place, ug = earth.place(earth.wgs84(), latitude_deg * DEG), micro_g()
     matrix = np.full((3, 3), gyro_misalignment_arcsec * ARCSEC)
     np.fill_diagonal(matrix, gyro_scale_ppm * PPM)
@@ -175,7 +175,7 @@ def plan_turns(  # noqa: PLR0913
         gyro_matrix=matrix,
         accel_matrix=np.zeros((3, 3)),
     )
-    level = partial(_turn_base, {}, place, duration_s)
+    level = partial(_turning_level_base, {}, place, duration_s)
     return compare_turns(HeadingProblem(level, place, dt, errors, increment_errors), duration_s)
 
 
@@ -190,8 +190,8 @@ def compare_turns(
         left_out: sources of errors without unknowns, see `bounds.estimator`.
     """
     options = []
-    for name, motion in _iter_motions(duration_s):
-        turning = partial(_turn_base, motion, problem.place, duration_s)
+    for name, motion in _iter_turn_options(duration_s):
+        turning = partial(_turning_level_base, motion, problem.place, duration_s)
         base = replace(problem, motion=turning) if motion else problem
         variances = heading_variances([duration_s], base, left_out)
         sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
@@ -199,7 +199,7 @@ def compare_turns(
     return TurnChoice(tuple(options))
 
 
-def _check_numbers(values: dict[str, float], latitude_deg: float) -> None:
+def _check_sensor_numbers(values: dict[str, float], latitude_deg: float) -> None:
     """Refuse numbers without meaning."""
     for key, value in values.items():
         positive = key == "accel_vrw_ug_per_sqrt_hz" or key.endswith("_s")
@@ -212,7 +212,7 @@ def _check_numbers(values: dict[str, float], latitude_deg: float) -> None:
         raise InputError(f"latitude_deg: {latitude_deg} is not between -90 and 90")
 
 
-def _iter_motions(duration_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+def _iter_turn_options(duration_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield name and keys of [motion] of each option that fits into the time.
 
     Times are multiples of 0.1 s, which are samples at most rates, with a gap between turns.
@@ -250,7 +250,7 @@ def _turn_keys(times_s: list[float], angles_deg: list[float], rate: float) -> di
     }
 
 
-def _turn_base(
+def _turning_level_base(
     motion: dict[str, Any], place: Place, end_s: float, times_s: np.ndarray
 ) -> BaseMotion:
     """Return the motion of a level base that turns, from keys of [motion]."""

@@ -1,4 +1,8 @@
-"""The command line: thin commands. A user's mistake is one line, and exit code 2."""
+"""The command line: thin commands over the package's functions.
+
+It takes arguments and options, and gives lines on a terminal and directories of results. A user's
+mistake is one line, and exit code 2.
+"""
 
 import gc
 import shlex
@@ -22,9 +26,8 @@ from sinsjax.cli.options import (
     Resume,
 )
 from sinsjax.cli.running import run_study
-from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError, StudyInterrupted
-from sinsjax.messages import escape_controls, to_one_line
+from sinsjax.messages import escape_controls, plain_console, print_line, to_one_line
 from sinsjax.platform import runtime
 
 RUN, LOOK, COMPARE, SET_UP = "Run", "Look", "Compare", "Set up"
@@ -216,7 +219,7 @@ def rerun(
 
     Example: sinsjax rerun out --run-id 17
     """
-    from sinsjax.execution import rerun as rerunning
+    from sinsjax.execution.run import rerun_stored_run
     from sinsjax.tuning import history
 
     runtime.configure()
@@ -227,7 +230,7 @@ def rerun(
         )
     runtime.start_backend()
     terminal, files = plain_console(), (record, reference)
-    if not rerunning.rerun_stored_run(directory, run_id, terminal, out=out, files=files):
+    if not rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
 
 
@@ -290,7 +293,7 @@ def main() -> None:
         if len(sys.argv) == 1 and isinstance(error, _UsageError):
             error.show()  # the help
             raise SystemExit(2) from None
-        code, lines = _describe_end(error)
+        code, lines = _exit_code_and_lines(error)
         for line in lines:
             print(line, file=sys.stderr)
         raise SystemExit(code) from None
@@ -299,7 +302,7 @@ def main() -> None:
     raise SystemExit(code)
 
 
-def _describe_end(error: Any) -> tuple[int, list[str]]:
+def _exit_code_and_lines(error: Any) -> tuple[int, list[str]]:
     """Return the exit code of a command that an error ends, and its lines.
 
     Raises:

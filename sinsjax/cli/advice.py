@@ -9,7 +9,7 @@ import typer
 
 from sinsjax.cli.options import Changes, completes
 from sinsjax.cli.study_files import require_new
-from sinsjax.console import plain_console, print_line
+from sinsjax.messages import plain_console, print_line
 from sinsjax.platform.files import write_file
 
 _WIDEST = 100
@@ -85,7 +85,7 @@ def advise(
         latitude_deg=latitude,
         time_s=time,
         motion=motion,
-        changes=parse_changes(changes or ()),
+        changes=parse_changes(changes),
     )
     if as_json:
         typer.echo(json.dumps(found.to_dict(), indent=1))

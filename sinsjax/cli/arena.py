@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from sinsjax.cli.options import Changes, Config, Out
-from sinsjax.console import plain_console, print_line, print_warning
+from sinsjax.messages import plain_console, print_line, print_warning
 
 
 def export(
@@ -41,7 +41,7 @@ def export(
     from sinsjax.study.load import load_study
 
     runtime.configure()
-    study, console = load_study(config, parse_changes(changes or ())), plain_console()
+    study, console = load_study(config, parse_changes(changes)), plain_console()
     with show_progress(console, study.name) as show:
         directory = export_study(
             study, out, format=format_.lower(), frame=frame.lower(), on_progress=show

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sinsjax.console import plain_console
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console
 
 
 def gain_tables(
@@ -14,12 +14,8 @@ def gain_tables(
 ) -> list[Any]:
     """Return tables of the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
 
-    Args:
-        level_sigma: decay rate of the levelling loop, 1/s.
-        azimuth_sigma: of the azimuth loop, 1/s.
-        damping: ratio of both, between 0 and 1.
-        gravity: m/s^2.
-        radius: of the Earth, m.
+    Of the decay rates of levelling and azimuth, 1/s, and their damping ratio; gravity in m/s^2 and
+    the Earth's radius in m.
     """
     import numpy as np
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
-from sinsjax.console import plain_console, print_line, print_warning
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console, print_line, print_warning
 from sinsjax.platform import runtime
 
 _STOPPING = "Stopping after the running chunks (repeat to abandon them)."
@@ -52,7 +52,7 @@ def run_study(
         file = config.name if config.is_absolute() else config.as_posix()
         options["source"] = f"{file} with {', '.join(changes)}"
     prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
-    job = prepare(config, parse_changes(changes or ()), *files, **options)
+    job = prepare(config, parse_changes(changes), *files, **options)
     assert job.directory is not None and job.forecast is not None
     with ExitStack() as stack:
         executor, cores = None, devices or cores

@@ -10,8 +10,8 @@ import typer
 
 from sinsjax.cli import options
 from sinsjax.cli.options import Changes, Config
-from sinsjax.console import plain_console, print_line
 from sinsjax.errors import InputError
+from sinsjax.messages import plain_console, print_line
 from sinsjax.platform import runtime
 from sinsjax.platform.files import write_file
 
@@ -89,17 +89,17 @@ def init(
     else:
         from sinsjax.study.from_record import make_study_text
 
-        text = make_study_text(from_, path, parse_changes(changes or ()))
+        text = make_study_text(from_, path, parse_changes(changes))
     if os.path.lexists(path):
         raise InputError(f"{path}: exists, and is not overwritten (give another file with --out)")
     write_file(path, text.encode())
     print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
-        for line in _describe_gaps(text, path, from_):
+        for line in _list_open_questions(text, path, from_):
             print_line(console, line)
 
 
-def _describe_gaps(text: str, path: Path, log: Path) -> Iterator[str]:
+def _list_open_questions(text: str, path: Path, log: Path) -> Iterator[str]:
     """Yield what the log of a new study does not determine, and how to align it."""
     from sinsjax.study import files
 
@@ -139,10 +139,10 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_study
-    from sinsjax.study.unused_keys import list_idle_keys
+    from sinsjax.study.rules import list_idle_keys
 
     runtime.configure()  # plug-in methods are traced
-    overrides = parse_changes(changes or ())
+    overrides = parse_changes(changes)
     study = load_study(config, overrides)
     if study.tune:
         summary = f"tunes {', '.join(study.tune.variables)}"
@@ -204,7 +204,7 @@ def schedule(config: Config, changes: Changes = None) -> None:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.load import load_study
 
-    study, console = load_study(config, parse_changes(changes or ())), plain_console()
+    study, console = load_study(config, parse_changes(changes)), plain_console()
     for line in reset_plan.describe_plans(study):
         print_line(console, line, wrap=True)
 

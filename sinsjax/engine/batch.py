@@ -53,6 +53,9 @@ CHUNK_STEPS = 2**28
 CHUNK_RECORDS = 2**20
 """Limits of a chunk: tiles; steps, some 15 s of a core; rows of curves, some 100 MB."""
 
+LEAST_SAVED = 1 / 4
+"""Share of its tiles that a program must save by computing one of duplicate variants."""
+
 MOST_PROGRAMS = 64
 """Programs that a process keeps, some MB each; the least recently used are dropped first."""
 
@@ -363,7 +366,7 @@ class Chunks:
 
     def compute(self, number: int) -> Chunk:
         """Compute a chunk, on the device of the calling thread."""
-        home = _thread.number % len(self._programs)
+        home = getattr(_thread, "number", 0) % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
         tiles = self.layout.tiles_of(self._batch, number)
         blocks = np.int32(self.layout.blocks(number))
@@ -382,13 +385,8 @@ class Chunks:
         )
 
 
-class _Thread(threading.local):
-    """Number of a thread of `map_in_threads`; 0 in all other threads."""
-
-    number = 0
-
-
-_thread = _Thread()
+_thread = threading.local()
+"""Its ``number`` is that of a thread of `map_in_threads`; others have none, and count as 0."""
 
 
 def map_in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int) -> Iterator[Any]:
@@ -406,3 +404,49 @@ def map_in_threads(call: Callable[[Any], Any], arguments: Iterable, devices: int
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+
+
+# Variants with identical runs
+
+
+class DuplicateVariants(NamedTuple):
+    """Variants of a program, grouped by identical runs: one of each group is computed.
+
+    Attributes:
+        computed: (computed,) one variant of each group, as places in the program.
+        variants: (variants,) places in the program, group by group in the order of ``computed``.
+        counts: (computed,) number of variants of each group.
+    """
+
+    computed: np.ndarray
+    variants: np.ndarray
+    counts: np.ndarray
+
+    def expand(self, chunk: Chunk) -> Chunk:
+        """Return the results of all variants from those computed, by draw and variant."""
+        counts = self.counts[chunk.variant]
+        run = np.repeat(np.arange(len(counts)), counts)
+        within = np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
+        starts = np.cumsum(self.counts) - self.counts
+        variant = self.variants[starts[chunk.variant][run] + within]
+        in_order = np.lexsort((variant, chunk.draw[run]))
+        run, variant = run[in_order], variant[in_order]
+        outcome, curves = jax.tree.map(lambda a: a[run], (chunk.outcome, chunk.curves))
+        return Chunk(chunk.draw[run], variant, outcome, curves)
+
+
+def find_duplicates(spec: ProgramSpec, draws: int, kinds: np.ndarray) -> DuplicateVariants | None:
+    """Return the duplicate variants of a program; None if all of them are to be computed.
+
+    Args:
+        spec: their program.
+        draws: number of its draws.
+        kinds: (variants,) a number that variants with identical runs share.
+    """
+    _, computed, kind, counts = np.unique(
+        kinds, return_index=True, return_inverse=True, return_counts=True
+    )
+    all_tiles, tiles = (Layout(spec, draws, count).tiles for count in (len(kinds), len(computed)))
+    if tiles > (1 - LEAST_SAVED) * all_tiles:
+        return None
+    return DuplicateVariants(computed, np.argsort(kind, kind="stable"), counts)

@@ -3,9 +3,11 @@
 A `ProgramSpec` decides the compiled program. Runs of one program share an `Environment`: Earth,
 base, sensors, truth and criteria. A `Draw` is one realisation of everything random, and `RunParams`
 are the numbers of one run. Fields of a draw that are None are those of the environment or the run.
+True attitudes and increments of ideal sensors are computed here for whole studies.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,11 +18,12 @@ from sinsjax.engine.metrics import Criteria
 from sinsjax.methods.floors import MeanBiases, mean_biases
 from sinsjax.methods.method import Options, Program, Site
 from sinsjax.methods.registry import METHODS
-from sinsjax.strapdown import base_motion, earth
+from sinsjax.strapdown import base_motion, earth, sensors
 from sinsjax.strapdown.base_motion import IdealSample, Motion, Nodes
 from sinsjax.strapdown.disturbances import Disturbances
+from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.sensors import SensorErrors
-from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
+from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 
 # What decides the program
 
@@ -264,3 +267,78 @@ def map_draws(
     leaves = jax.tree.map(lambda a: 0 if jnp.ndim(a) else None, draws)
     in_axes = (leaves, *((0,) * len(others) if axes is None else axes))
     return jax.vmap(function, in_axes, out_axes)(draws, *others)
+
+
+# The truth and coarse attitudes of whole studies
+
+_SAMPLES, _TIMES = 4000, 256
+"""Samples of increments, and attitudes, per call: one program serves studies of any length."""
+
+
+@partial(jax.jit, static_argnums=(0, 2))
+def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
+    """Return coarsely aligned attitudes at the ends of parts of a record, (parts, 4).
+
+    The method needs no initial attitude and no params; the rows (parts, n, 6) are measured
+    increments over ``dt`` s, rad and m/s.
+    """
+    program = METHODS[method].build(Options(dt))
+
+    def align(part: Array) -> Array:
+        samples = sensors.compensate_record(part, part[0])
+        return jnp.stack(align_by_program(program, samples, site))
+
+    return jax.vmap(align)(rows)
+
+
+def align_by_program(program: Program, samples: Sample, site: Site) -> Quat:
+    """Return q_nb at the end of compensated samples, leaves (n,), by a method without params."""
+    counts = 1 + jnp.arange(samples.dv.x.size, dtype=samples.dv.x.dtype)
+    zero = jnp.zeros_like(counts[0])
+    start = Navigation(Quat(zero + 1, zero, zero, zero), zero, zero, site.latitude + zero, zero)
+
+    def over_sample(state: Any, numbered: tuple[Sample, Scalar]) -> tuple[Any, None]:
+        sample, n = numbered
+        return program.step((), site, state, sample, n), None
+
+    state, _ = jax.lax.scan(over_sample, program.init((), start), (samples, counts))
+    return program.attitude(program.normalise(state))
+
+
+_increments = jax.jit(base_motion.ideal_increments, static_argnames=("samples", "with_axes"))
+
+
+@jax.jit
+def _attitudes(motion: Motion, times: Array) -> Array:
+    return jax.vmap(lambda t: jnp.stack(base_motion.attitude(motion, t)))(times)
+
+
+def true_increments(
+    motion: Motion,
+    place: Place,
+    rate_hz: float,
+    samples: int,
+    *,
+    axes: bool = False,
+    blank: bool = False,
+) -> np.ndarray:
+    """Return ideal increments, rad and m/s: (samples, 6), or with the axes of n (samples, 15).
+
+    The axes of n in b are means over each sample. If blank, all are zero, enough to compile.
+    """
+    increments = np.zeros((samples, 15 if axes else 6))
+    for first in range(0, 0 if blank else samples, _SAMPLES):
+        block = increments[first : first + _SAMPLES]
+        made = _increments(motion, place, rate_hz, _SAMPLES, float(first), with_axes=axes)
+        block[:] = made[: len(block)]
+    return increments
+
+
+def true_attitudes(motion: Motion, times: np.ndarray, *, blank: bool = False) -> np.ndarray:
+    """Return true attitudes, body to n, (n, 4) quaternions at times (n,), s; or zeros if blank."""
+    attitudes = np.zeros((len(times), 4))
+    for first in range(0, 0 if blank else len(times), _TIMES):
+        block = attitudes[first : first + _TIMES]
+        padded = np.resize(times[first : first + _TIMES], _TIMES)
+        block[:] = _attitudes(motion, padded)[: len(block)]
+    return attitudes

@@ -137,18 +137,7 @@ def observe(
     return Observation(phi._replace(z=unknown), sigma._replace(z=unknown), pitch, roll, unknown)
 
 
-def pack_observation(now: Observation) -> Array:
-    """Return an observation as one array (fields, ...): of several, XLA would copy each whole."""
-    return jnp.stack(jax.tree.leaves(now))
-
-
-def unpack_observations(rows: Array) -> Observation:
-    """Return observations with leaves (intervals, ...) from rows (intervals, fields, ...)."""
-    e, n, u, *sigma, pitch, roll, yaw = (rows[:, i] for i in range(rows.shape[1]))
-    return Observation(Vec3(e, n, u), Vec3(*sigma), pitch, roll, yaw)
-
-
-def start(criteria: Criteria, zero: Scalar) -> Metrics:
+def initial_metrics(criteria: Criteria, zero: Scalar) -> Metrics:
     """Return the accumulators before the first interval, in zeros of the given type."""
     nothing = Vec3(zero, zero, zero)
     six, three = jnp.zeros(6) + zero, jnp.zeros(3) + zero
@@ -222,7 +211,7 @@ def _add_to_window(window: Window, now: Observation, inside: Flag) -> Window:
     opening = inside & (window.count == 0)
     values = jnp.stack([*now.phi, now.pitch, now.roll, now.yaw])
     first = jnp.where(opening, values, window.first)
-    step = _wrap(values - first)
+    step = _wrap_angle(values - first)
     return Window(
         count=jnp.where(inside, window.count + 1, window.count),
         first=first,
@@ -231,7 +220,7 @@ def _add_to_window(window: Window, now: Observation, inside: Flag) -> Window:
     )
 
 
-def _wrap(angle: Array) -> Array:
+def _wrap_angle(angle: Array) -> Array:
     """Return the angle in [-pi, pi]."""
     return angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
 
@@ -246,7 +235,7 @@ def finish(
     """
     window, phi = metrics.window, metrics.last.phi
     n, sums = window.count, window.sums
-    mean = _wrap(window.first + sums / n)
+    mean = _wrap_angle(window.first + sums / n)
     std = jnp.sqrt(jnp.maximum(window.squares - sums * sums / n, 0.0) / (n - 1))
     return Outcome(
         last=metrics.last,

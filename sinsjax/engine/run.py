@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.engine import metrics
+from sinsjax.engine import metrics, stepping
 from sinsjax.engine.inputs import (
-    Draw,
     Environment,
     ProgramSpec,
     RunParams,
@@ -28,10 +27,9 @@ from sinsjax.engine.inputs import (
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.samples import SensorState, TileSensors
-from sinsjax.engine.stepping import Steps, take_samples
+from sinsjax.engine.stepping import PassReading, Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
-from sinsjax.methods import passes
 from sinsjax.methods.floors import BiasFloor, MeanBiases
 from sinsjax.methods.method import (
     AttitudeCovariance,
@@ -40,7 +38,6 @@ from sinsjax.methods.method import (
     earth_floor,
     unknown_covariance,
 )
-from sinsjax.methods.passes import PassReading
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import base_motion
 from sinsjax.types import Array, Count, Flag, Increments, Navigation, Quat, Sample, Scalar, Vec3
@@ -97,13 +94,18 @@ def run_tile(
         curve_lanes: lanes whose observations are returned, the first ones; None for all.
         by_event: see `take_samples`; False to differentiate in reverse mode.
     """
-    runs = set_up(spec, environment, tile)._replace(curve_lanes=curve_lanes, by_event=by_event)
+    runs = prepare_tile(spec, environment, tile)._replace(
+        curve_lanes=curve_lanes, by_event=by_event
+    )
     start = TileState(runs.start(), runs.sensors.start())
     if spec.coarse is None:
         (run, _), rows = jax.lax.scan(partial(advance_interval, runs), start, runs.intervals())
     else:
         run, rows = _coarse_then_fine(runs, start)
-    curves = None if rows is None else metrics.unpack_observations(rows)
+    if rows is None:
+        return TileResults(runs.finish(run), None)
+    fields = [rows[:, i] for i in range(rows.shape[1])]
+    curves = jax.tree.unflatten(jax.tree.structure(run.metrics.last), fields)
     return TileResults(runs.finish(run), curves)
 
 
@@ -116,10 +118,13 @@ def advance_interval(
         The tile after the interval, and if ``spec.curves`` the observations as rows, (fields,
         lanes).
     """
-    reading = runs.read(interval.number)
+    spec, environment = runs.one.spec, runs.one.environment
+    pass_intervals = environment.pass_intervals if spec.reverses else None
+    reading = stepping.read_interval(interval.number, pass_intervals, spec.interval_samples)
     state, sensor_state = take_samples(
         runs.steps(reading, interval.number),
-        *runs.begin_pass(tile, reading),
+        runs.begin_pass(tile.run.state, reading),
+        tile.sensors,
         runs.sensors.blocks(reading, runs.record),
         by_event=runs.by_event,
     )
@@ -133,13 +138,13 @@ def _coarse_then_fine(runs: "TileRuns", start: TileState) -> tuple[Run, Array | 
 
     Fine alignment goes on where coarse alignment ends, or replays all samples from the first.
     """
-    coarse, all_ = runs.spec.coarse, runs.intervals()
+    coarse, all_ = runs.one.spec.coarse, runs.intervals()
     assert coarse is not None
     first, later = (
         jax.tree.map(lambda a, part=part: a[part], all_)
         for part in (slice(None, coarse.intervals), slice(coarse.intervals, None))
     )
-    coarse_runs = runs._replace(one=runs.one._replace(spec=runs.spec.of_coarse_stage()))
+    coarse_runs = runs._replace(one=runs.one._replace(spec=runs.one.spec.of_coarse_stage()))
     coarse_start = start._replace(run=coarse_runs.start())
     (run, sensor_state), rows = jax.lax.scan(
         partial(advance_interval, coarse_runs), coarse_start, first
@@ -191,7 +196,7 @@ class RunFunctions(NamedTuple):
     def start(self, params: RunParams, site: Site, q: Quat) -> Run:
         """Return the run before its first sample, from the attitude before its misalignment."""
         nav = initial_solution(site, rotations.misalign(params.phi, q), params.ve, params.vn)
-        first = metrics.start(self.environment.criteria, nav.longitude)
+        first = metrics.initial_metrics(self.environment.criteria, nav.longitude)
         return Run(self.method.init(params.method, nav), first)
 
     def start_after_coarse(
@@ -206,18 +211,12 @@ class RunFunctions(NamedTuple):
         samples = zero + float(coarse.intervals * self.spec.interval_samples)
         if rotation is not None and coarse.replays:
             time = samples * self.spec.options.dt
-            q = passes.rewind_attitude(q, rotation, site.place, time)
+            q = stepping.rewind_attitude(q, rotation, site.place, time)
             return self.method.init(params.method, initial_solution(site, q, zero, zero))
         nav = initial_solution(site, rotations.normalise(q), zero, zero)
         state = self.method.init(params.method, nav)
         begin_after = self.method.passes and self.method.passes.begin_after
         return begin_after(state, samples) if begin_after else state
-
-    def reverse(self, params: RunParams, site: Site, state: Any, backward: Flag) -> Any:
-        """Return the state of the method after a direction reversal that opens a pass."""
-        assert self.method.passes is not None
-        before = passes.site_of_pass(site, ~backward)
-        return self.method.passes.reverse(params.method, before, state)
 
     def observe(self, run: Run, q_true: Quat, floor: Scalar, n: Scalar) -> Run:
         """Return the run after its observation at an output time, that of the n-th sample.
@@ -282,76 +281,57 @@ class TileRuns(NamedTuple):
     by_event: bool = True
 
     @property
-    def spec(self) -> ProgramSpec:
-        """Program of the runs."""
-        return self.one.spec
-
-    @property
-    def environment(self) -> Environment:
-        """What all runs share."""
-        return self.one.environment
-
-    @property
-    def draws(self) -> Draw:
-        """Draws with derived inputs, leaves (draws, ...)."""
-        return self.sensors.draws
-
-    @property
     def site_axis(self) -> int | None:
         """Axis of the site; None if all runs share it."""
-        return None if self.draws.site is None else self.draws.run_axis
+        return None if self.sensors.draws.site is None else self.sensors.draws.run_axis
 
     def intervals(self) -> Intervals:
         """Return all intervals of the runs."""
-        q_true, count = None, self.spec.intervals
-        if self.draws.motion is not None:
-            times = jnp.asarray(self.environment.end_times)[:count]
+        q_true, count = None, self.one.spec.intervals
+        if self.sensors.draws.motion is not None:
+            times = jnp.asarray(self.one.environment.end_times)[:count]
             q_true = map_draws(
                 lambda draw: jax.vmap(partial(base_motion.attitude, draw.motion))(times),
-                self.draws,
+                self.sensors.draws,
                 out_axes=1,
             )
         return Intervals(jnp.arange(count), q_true)
 
     def start(self) -> Run:
         """Return the runs before their first sample."""
-        start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.draws.run_axis))
+        start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.sensors.draws.run_axis))
         return start(self.params, self.site, self.q)
 
-    def read(self, number: Count) -> PassReading:
-        """Return the samples that an interval reads."""
-        pass_intervals = self.environment.pass_intervals if self.spec.reverses else None
-        return passes.read_interval(number, pass_intervals, self.spec.interval_samples)
-
-    def begin_pass(self, tile: TileState, reading: PassReading) -> tuple[Any, SensorState]:
-        """Return the states of methods and sensors as an interval begins, which may open a pass."""
-        state, sensor_state = tile.run.state, tile.sensors
-        if reading.opens_pass is None or self.one.method.passes is None:  # it has one pass
-            return state, sensor_state
-        reverse = jax.vmap(self.one.reverse, in_axes=(0, self.site_axis, 0, None))
-        changed = reverse(self.params, self.site, state, reading.backward)
-        return select_tree(reading.opens_pass, changed, state), sensor_state
+    def begin_pass(self, state: Any, reading: PassReading) -> Any:
+        """Return the states of the method as an interval begins, which may open a pass."""
+        passes = self.one.method.passes
+        if reading.backward is None or passes is None:  # one pass
+            return state
+        before = stepping.site_of_pass(self.site, ~reading.backward)
+        reverse = jax.vmap(passes.reverse, in_axes=(0, self.site_axis, 0))
+        changed = reverse(self.params.method, before, state)
+        return select_tree(reading.opens_pass, changed, state)
 
     def state_after_coarse(self, coarse_state: Any, rotation: Quat | None) -> Any:
         """Return the states of the method as fine alignment begins."""
         after = jax.vmap(
-            self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.draws.run_axis)
+            self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.sensors.draws.run_axis)
         )
-        q = jax.vmap(self.spec.of_coarse_stage().program.attitude)(coarse_state)
-        return after(self.params, self.site, q, self.to_runs(rotation))
+        q = jax.vmap(self.one.spec.of_coarse_stage().program.attitude)(coarse_state)
+        return after(self.params, self.site, q, broadcast_to_runs(self.row, rotation))
 
     def steps(self, reading: PassReading, number: Count) -> Steps:
         """Return the effect of the samples of an interval on the state of all runs."""
         method, params, axis = self.one.method, self.params.method, self.site_axis
-        site = passes.site_of_pass(self.site, reading.backward)
-        done = number * self.spec.interval_samples  # samples before this interval
-        step = jax.vmap(method.step, in_axes=(0, axis, 0, self.draws.run_axis, None))
+        site = stepping.site_of_pass(self.site, reading.backward)
+        done = number * self.one.spec.interval_samples  # samples before this interval
+        step = jax.vmap(method.step, in_axes=(0, axis, 0, self.sensors.draws.run_axis, None))
 
         def n(place: Count) -> Scalar:
-            return (done + place).astype(self.environment.dtype)
+            return (done + place).astype(self.one.environment.dtype)
 
         def take(state: Any, place: Count, sample: Sample) -> Any:
-            return step(params, site, state, self.to_runs(sample), n(place + 1))
+            return step(params, site, state, broadcast_to_runs(self.row, sample), n(place + 1))
 
         if method.feedback is None:
             return Steps(take, lambda state, place: state)
@@ -365,7 +345,7 @@ class TileRuns(NamedTuple):
             events = next_event(params, state, n(place))
             if events is None:
                 return None
-            return jnp.min(events) - done.astype(self.environment.dtype)
+            return jnp.min(events) - done.astype(self.one.environment.dtype)
 
         def any_triggered(state: Any, place: Count) -> Flag:
             assert triggered is not None
@@ -385,9 +365,9 @@ class TileRuns(NamedTuple):
         """
         if self.turns is None:
             return sensor_state.housing and sensor_state.housing.turn
-        pass_number, place = jnp.divmod(number, self.environment.pass_intervals)
+        pass_number, place = jnp.divmod(number, self.one.environment.pass_intervals)
         backward = pass_number % 2 == 1
-        end = jnp.where(backward, self.environment.pass_intervals - place - 1, place + 1)
+        end = jnp.where(backward, self.one.environment.pass_intervals - place - 1, place + 1)
         turn: Quat = jax.tree.map(lambda a: a[end], self.turns)
         return turn
 
@@ -400,26 +380,30 @@ class TileRuns(NamedTuple):
         run = run._replace(state=self.fit_blocks(run.state, number))
         if turn is not None:
             q_true = rotations.multiply(q_true, turn)
-        observe = jax.vmap(self.one.observe, in_axes=(0, self.draws.run_axis, 0, None))
-        return observe(run, self.to_runs(q_true), self.floor.phi.z, self.end_of(number))
+        observe = jax.vmap(self.one.observe, in_axes=(0, self.sensors.draws.run_axis, 0, None))
+        return observe(
+            run, broadcast_to_runs(self.row, q_true), self.floor.phi.z, self.end_of(number)
+        )
 
     def base_attitudes(self, interval: Intervals) -> Quat:
         """Return the attitudes of the draws' bases at the end of an interval; NaN if unknown."""
         if interval.q_true is not None:
             return interval.q_true
-        stored = jnp.asarray(self.environment.attitudes)[self.draws.row, interval.number]
+        stored = jnp.asarray(self.one.environment.attitudes)[
+            self.sensors.draws.row, interval.number
+        ]
         return Quat(*jnp.moveaxis(stored, -1, 0))
 
     def end_of(self, number: Count) -> Scalar:
         """Return the number of the last sample of an interval, from 1."""
-        return ((number + 1) * self.spec.interval_samples).astype(self.environment.dtype)
+        return ((number + 1) * self.one.spec.interval_samples).astype(self.one.environment.dtype)
 
     def fit_blocks(self, state: Any, number: Count) -> Any:
         """Return the state of a method after its fit at the end of an interval, if it has."""
         blocks = self.one.method.block_fit
         if blocks is None:
             return state
-        end, times = self.end_of(number), self.environment.criteria.report_samples
+        end, times = self.end_of(number), self.one.environment.criteria.report_samples
         reported = jnp.asarray(False) if times is None else jnp.any(times == end)
         state = jax.vmap(blocks.store, in_axes=(0, None))(state, number)
         fit = jax.vmap(blocks.fit, in_axes=(0, self.site_axis, 0, None))
@@ -433,20 +417,17 @@ class TileRuns(NamedTuple):
 
     def curve_row(self, run: Run) -> Array | None:
         """Return the latest observations as (fields, lanes) if the program keeps curves."""
-        if not self.spec.curves:
+        if not self.one.spec.curves:
             return None
-        return metrics.pack_observation(run.metrics.last)[:, : self.curve_lanes]
+        # One array: of several, XLA would copy each whole.
+        return jnp.stack(jax.tree.leaves(run.metrics.last))[:, : self.curve_lanes]
 
     def finish(self, run: Run) -> Outcome:
         """Return the outcomes of the runs after their last interval."""
         return jax.vmap(self.one.finish, in_axes=(0, self.site_axis, 0))(run, self.site, self.floor)
 
-    def to_runs(self, tree: Any) -> Any:
-        """Return what belongs to draws for each run."""
-        return broadcast_to_runs(self.row, tree)
 
-
-def set_up(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
+def prepare_tile(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
     draws, one = derive_inputs(spec, environment, tile.draws), RunFunctions(spec, environment)
     axis, to_runs = draws.run_axis, partial(broadcast_to_runs, tile.row)

@@ -14,11 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
-from sinsjax.engine.stepping import Blocks
+from sinsjax.engine.stepping import Blocks, PassReading, accumulate_rotation, compensate_in_pass
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
-from sinsjax.methods import passes
-from sinsjax.methods.passes import PassReading
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
 from sinsjax.strapdown.base_motion import IdealSample
 from sinsjax.strapdown.disturbances import Disturbances
@@ -117,7 +115,7 @@ class DrawSensors(NamedTuple):
             whole.disturbances, state.processes, sample.driving, dt
         )
         place = whole.site.place
-        moved = disturbances.disturb_motion(exact, disturbed, place, dt)
+        moved = disturbances.add_surge(exact, disturbed, place, dt)
         vibrating = state.housing
         if vibrating is not None and disturbed.housing is not None:
             rigid, lever = exact._replace(increments=moved), _lever_of_housing(whole)
@@ -228,22 +226,26 @@ class TileSensors(NamedTuple):
             record: kept records, leaves (samples, draws); None to measure.
         """
         measure, size = self.make_sampler(reading.samples), self.block_size
-        compensate = jax.vmap(jax.vmap(partial(passes.compensate, backward=reading.backward)))
+        compensated = jax.vmap(jax.vmap(partial(compensate_in_pass, backward=reading.backward)))
+
+        def read(n: Count) -> Increments:
+            kept = jax.tree.map(lambda a: a[n], record)
+            return self.of_one(self.draws).zero_before_record(n, kept)
 
         def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
             places = number * size + jnp.arange(size)
             if record is None:
                 now, later = measure(state, places)
             else:
-                now, later = self._read_record(record, reading.samples[places]), state
+                now, later = jax.vmap(read)(reading.samples[places]), state
             # What was read before each sample of the row, and the last of the row.
             before, last = (
                 jax.tree.map(lambda a, b: jnp.concatenate([b[None], a[:-1]]), now, state.last),
                 jax.tree.map(lambda a: a[-1], now),
             )
-            samples, rotation = compensate(now, before), state.rotation
+            samples, rotation = compensated(now, before), state.rotation
             if rotation is not None:
-                rotation = passes.accumulate_rotation(rotation, samples)
+                rotation = accumulate_rotation(rotation, samples)
             return samples, later._replace(last=last, rotation=rotation)
 
         return Blocks(self.spec.interval_samples, size, make)
@@ -303,13 +305,6 @@ class TileSensors(NamedTuple):
         _, rows = jax.lax.scan(over_interval, first, jnp.arange(intervals))
         rows = jnp.concatenate([map_draws(turn, self.draws, first)[None], rows])
         return Quat(*jnp.moveaxis(rows, -1, 0))
-
-    def _read_record(self, record: Increments, numbers: Array) -> Increments:
-        """Return n samples of kept records, leaves (n, draws)."""
-        any_draw = self.of_one(self.draws)
-        return jax.vmap(
-            lambda n: any_draw.zero_before_record(n, jax.tree.map(lambda a: a[n], record))
-        )(numbers)
 
     def _integrate_shared_motion(self, numbers: Array) -> IdealSample | None:
         """Return ideal increments of n samples of the base that all draws share, leaves (n,).

@@ -15,7 +15,6 @@ import jax
 import numpy as np
 
 from sinsjax import units
-from sinsjax.engine import truth
 from sinsjax.engine.batch import Batch
 from sinsjax.engine.inputs import (
     CoarseStage,
@@ -24,6 +23,9 @@ from sinsjax.engine.inputs import (
     ProgramSpec,
     RunParams,
     aligned_record,
+    coarse_attitudes,
+    true_attitudes,
+    true_increments,
 )
 from sinsjax.engine.metrics import Criteria
 from sinsjax.errors import InputError
@@ -35,16 +37,14 @@ from sinsjax.platform import runtime
 from sinsjax.records import require_span
 from sinsjax.records.reference import StoredRecord, reference_attitudes
 from sinsjax.strapdown import earth, processes, sensors
-from sinsjax.strapdown.attitude_path import attitude_path
-from sinsjax.strapdown.base_motion import Motion, Sway
+from sinsjax.strapdown.base_motion import Motion, Sway, attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.processes import Process
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
-from sinsjax.study import sampling
-from sinsjax.study.attitude_file import read_attitude
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
+from sinsjax.study.motion import data_end_s, read_attitude, turns_in_samples
 from sinsjax.study.schema import (
     EARTH_CONSTANTS,
     TURN_KEYS,
@@ -55,10 +55,9 @@ from sinsjax.study.schema import (
 )
 from sinsjax.study.study import Span, Study
 from sinsjax.study.success import settling_bands
-from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.turns import data_end_s, turns_in_samples
-from sinsjax.study.variants import Lookup, Variants
-from sinsjax.types import Array, Quat, Vec3
+from sinsjax.study.sweep import CodedColumn
+from sinsjax.study.values import Lookup, Variants, drawn_values
+from sinsjax.types import Quat, Vec3
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 from sinsjax.value_types import Section
 
@@ -120,7 +119,7 @@ class Scenario:
             raise InputError(f"{study.name}: the study {text}: see [record]")
         self.study, self.stored = study, stored
         self.curves = study.study.curves if curves is None else curves
-        self.variant_ids = list(_split(study))
+        self.variant_ids = list(_iter_program_variants(study))
 
     def keys(self, number: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""
@@ -180,7 +179,7 @@ class Scenario:
         return Batch(self.specs[number], environment, drawn, params, keys.ids)
 
 
-def _split(study: Study) -> Iterator[np.ndarray]:
+def _iter_program_variants(study: Study) -> Iterator[np.ndarray]:
     """Yield the numbers of variants that share program and environment, by first appearance."""
     keys = {*PROGRAM_KEYS, *ENVIRONMENT_KEYS, *PASS_KEYS}
     swept = [key for key in study.axis_keys if key in keys]
@@ -195,7 +194,7 @@ def _split(study: Study) -> Iterator[np.ndarray]:
 # The program
 
 
-def _span(study: Study, keys: Variants) -> Span:
+def _run_span(study: Study, keys: Variants) -> Span:
     return study.span(**{key: keys.common(key) for key in PASS_KEYS} if study.passes else {})
 
 
@@ -206,7 +205,7 @@ def _samples_read(study: Study) -> int:
 
 def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
     """Return the program of some variants."""
-    simulated, span, method = not study.is_recorded, _span(study, keys), keys.common("method")
+    simulated, span, method = not study.is_recorded, _run_span(study, keys), keys.common("method")
     blocks = (0, 0)
     if METHODS[method].program.block_fit is not None:
         blocks = study.record_every, span.records
@@ -228,7 +227,7 @@ def _program_spec(study: Study, keys: Variants, curves: bool) -> ProgramSpec:
         curves,
         noisy=simulated and keys.is_active(*keys_acting_as("noise")),
         distorted=simulated and keys.is_active(*keys_acting_as("distortion")),
-        sways=simulated and _moves(keys),
+        sways=simulated and _base_rotates(keys),
         kept=_samples_read(study) if keeps else 0,
         reverses=reverses,
         coarse=_coarse_stage(study, keys),
@@ -317,7 +316,7 @@ def _simulated_inputs(
     study: Study, keys: Variants, draws: range, *, blank: bool
 ) -> tuple[Environment, Draw]:
     """Return the environment and the draws of a simulation; a blank one has zeros for the truth."""
-    place, span, rate_hz = keys.site.place, _span(study, keys), study.rate_hz
+    place, span, rate_hz = keys.site.place, _run_span(study, keys), study.rate_hz
     nominal = _base_and_sensors(keys)
     errors, motion, disturbances = nominal
     times = np.concatenate([[0.0], study.stored_times(span)])
@@ -330,8 +329,8 @@ def _simulated_inputs(
         samples = _samples_read(study)
         samples = samples if samples <= MOST_STORED_SAMPLES else 0
         travels = disturbances.surge is not None or (rocks and motion.lever is not None)
-        rows = truth.true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
-        attitudes = truth.true_attitudes(motion, times, blank=blank)
+        rows = true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
+        attitudes = true_attitudes(motion, times, blank=blank)
         if samples:
             increments, axes = rows[:, :6], rows[:, 6:] if travels else None
     environment = Environment(
@@ -364,7 +363,7 @@ def _drawn_fields(
     study: Study, keys: Variants, draws: range, nominal: BaseAndSensors
 ) -> dict[str, Any]:
     """Return the drawn numbers of a simulated study as fields of `Draw`."""
-    values = sampling.drawn_values(study, len(draws), first=draws.start)
+    values = drawn_values(study, len(draws), first=draws.start)
     drawn = _base_and_sensors(
         Variants(study, keys.ids, values, site=keys.site, micro_g=keys.micro_g)
     )
@@ -403,7 +402,7 @@ def _recorded_inputs(
 
     If coarse alignment is a stage of the runs, their attitude is unknown.
     """
-    record, rate, span = stored.record, study.rate_hz, _span(study, keys)
+    record, rate, span = stored.record, study.rate_hz, _run_span(study, keys)
     if abs(record.rate_hz - rate) > 1e-6 * rate:
         raise InputError(
             f"{record.source}: the record has {record.rate_hz:g} Hz, [study] rate_hz is {rate:g}"
@@ -421,7 +420,7 @@ def _recorded_inputs(
     q = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     if coarse_n:
         pieces = np.stack([increments[start - first :][:coarse_n] for start in starts])
-        q = truth.coarse_attitudes(method, pieces, 1 / rate, keys.site)
+        q = coarse_attitudes(method, pieces, 1 / rate, keys.site)
     fine = starts + coarse_n
     times = [start / rate + study.stored_times(span) for start in fine]
     environment = Environment(
@@ -434,7 +433,7 @@ def _recorded_inputs(
         increments=increments,
         attitudes=np.stack([reference_attitudes(stored, at) for at in times]),
     )
-    initial = _initial_errors(sampling.drawn_values(study, n))
+    initial = _initial_errors(drawn_values(study, n))
     rows, starts = np.arange(n), fine - first
     return environment, Draw(np.arange(n), starts, rows, Quat(*np.asarray(q).T), **initial)
 
@@ -478,7 +477,7 @@ def read_sways(common: Lookup) -> Motion:
     return Motion(sway("pitch"), sway("roll"), sway("yaw"))
 
 
-def _moves(keys: Variants) -> bool:
+def _base_rotates(keys: Variants) -> bool:
     """Return whether the base sways or is turned."""
     given = any(keys.common(key) for key in ("turn_times_s", "attitude_file"))
     return given or keys.is_active(*keys_acting_as("sway"))
@@ -489,7 +488,7 @@ def read_motion(keys: Variants) -> Motion:
     motion = add_turns(read_sways(keys.common), keys)
     if (given := read_attitude(keys.study)) is not None:
         motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
-    rotates = _moves(keys) or keys.is_active("vibration_deg_per_h_rms")
+    rotates = _base_rotates(keys) or keys.is_active("vibration_deg_per_h_rms")
     if rotates and keys.is_active("lever_arm_m"):
         arm = np.moveaxis(_read_vector(keys.common, keys.micro_g, "lever_arm_m"), -1, 0)
         motion = motion._replace(lever=Vec3(*arm))
@@ -598,14 +597,12 @@ def _run_params(study: Study, keys: Variants) -> RunParams:
     )
 
 
+_euler_vectors = jax.jit(jax.vmap(euler_vector))
+
+
 def _rotation_vectors(starts: CodedColumn) -> Vec3:
     """Return rotation vectors of initial misalignments given in degrees, leaves (variants,)."""
     angles = np.asarray([values[1:] for values in starts.choices], dtype=float).T * DEG
     euler = np.asarray([values[0] == "euler" for values in starts.choices])
     vectors = np.where(euler, np.stack(_euler_vectors(*angles)), angles)
     return Vec3(*vectors[:, starts.codes])
-
-
-@jax.jit
-def _euler_vectors(e: Array, n: Array, u: Array) -> Vec3:
-    return jax.vmap(euler_vector)(e, n, u)

@@ -18,12 +18,11 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from sinsjax.console import print_warning
 from sinsjax.errors import InputError
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
-from sinsjax.messages import first_error_line
+from sinsjax.messages import first_error_line, print_warning
 from sinsjax.methods.registry import packages_of
-from sinsjax.platform import runtime, xla
+from sinsjax.platform import machine, runtime
 
 CONNECT_TIMEOUT_S = 10.0
 """Time allowed for a scheduler to answer, s."""
@@ -110,7 +109,7 @@ def _compare_workers(client: Any, address: str) -> dict[str, str]:
     required = {name: runtime.relevant_versions()[name] for name in runtime.RESULT_PACKAGES}
     required[_INSTRUCTIONS] = installed[min(installed)][_INSTRUCTIONS]
     for worker, found in installed.items():
-        _check_same(worker, found, required)
+        _refuse_other_versions(worker, found, required)
     return required
 
 
@@ -165,7 +164,9 @@ def _run_tasks(
             client.cancel(list(running))
 
 
-def _check_same(worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]) -> None:
+def _refuse_other_versions(
+    worker: str, installed: Mapping[str, Any], required: Mapping[str, Any]
+) -> None:
     """Refuse a worker whose rows could differ from those of the others."""
     for name, value in required.items():
         if installed.get(name) != value:
@@ -186,7 +187,7 @@ _prepare_lock = threading.Lock()
 
 def _describe_process() -> dict[str, str]:
     """Return the versions and the instruction set of this process."""
-    return runtime.relevant_versions() | {_INSTRUCTIONS: xla.instruction_set()}
+    return runtime.relevant_versions() | {_INSTRUCTIONS: machine.instruction_set()}
 
 
 def run_task_on_worker(
@@ -210,7 +211,7 @@ def _make_runner(job: bytes, required: Mapping[str, str]) -> TaskRunner:
     from distributed import get_worker
 
     # Before unpickling, which needs the packages.
-    _check_same(get_worker().address, _describe_process(), required)
+    _refuse_other_versions(get_worker().address, _describe_process(), required)
     if platforms := os.environ.get("JAX_PLATFORMS"):  # Dask may have set it after JAX read it
         jax.config.update("jax_platforms", platforms)
     runtime.configure(devices=1)

@@ -41,27 +41,16 @@ _SWITCH_KEYS = keys_acting_as("noise", "distortion", "sway", "process")
 
 
 class Forecast(NamedTuple):
-    """Rough requirements of a study.
+    """Rough requirements of a study."""
 
-    Attributes:
-        runs: number of runs, at most.
-        length_s: length of the longest run, s.
-        run_s: time per run on one core, s.
-        run_bytes: disk space per run, bytes.
-        memory: peak memory, bytes.
-        programs: number of programs to compile, unless they are in the compile cache.
-        compile_s: time to compile all of them on one core, s.
-        start_s: time that more cores do not shorten, s.
-    """
-
-    runs: int
-    length_s: float
-    run_s: float
-    run_bytes: float
-    memory: float
-    programs: int
-    compile_s: float
-    start_s: float = _START_S
+    runs: int  # at most
+    length_s: float  # of the longest run
+    run_s: float  # time per run on one core
+    run_bytes: float  # disk space per run
+    memory: float  # peak, bytes
+    programs: int  # to compile, unless they are in the compile cache
+    compile_s: float  # of all programs on one core
+    start_s: float = _START_S  # which more cores do not shorten
 
     def describe(self, cores: int) -> str:
         """Return one line for a user: what all runs cost."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sinsjax.console import print_line
+from sinsjax.messages import print_line
 
 _PLAIN_EVERY_S = 10.0
 

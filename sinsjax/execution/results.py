@@ -13,13 +13,10 @@ import pyarrow.parquet as pq
 
 from sinsjax import columns
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
-from sinsjax.execution.directory import STUDY, Manifest, list_parts
-from sinsjax.messages import first_error_line, format_count, to_one_line
+from sinsjax.execution.directory import STUDY, Manifest, is_intact, list_parts
+from sinsjax.messages import first_error_line, format_count, format_facts, to_one_line
 from sinsjax.platform.files import read_regular_file
-from sinsjax.study import display
-from sinsjax.study.identity import describe_differences, fingerprint
-from sinsjax.study.load import load_study
+from sinsjax.study.load import describe_differences, fingerprint, load_study
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessMeasure, success_measures
 
@@ -190,7 +187,7 @@ class Results:
         facts["runs"] += f", {pc.sum(failed).as_py() or 0:,} diverged or not finite"
         time = "" if self.wall_s is None else f"in {self.wall_s:.3g} s, "
         facts["computed"] = f"{time}in {self.directory or 'memory'}"
-        return display.format_text(f"Results of {self.study.name}", facts)
+        return format_facts(f"Results of {self.study.name}", facts)
 
 
 def read_summary(
@@ -299,7 +296,7 @@ class StoredParts:
 
 def read_part_metadata(content: bytes) -> dict[str, str] | None:
     """Return the metadata of a part's content, see `tasks.part_metadata`; None if it is damaged."""
-    if not sealed.is_intact(content):
+    if not is_intact(content):
         return None
     entries = pq.read_metadata(pa.BufferReader(content)).metadata or {}
     names = (STUDY_METADATA, CHUNK_METADATA)

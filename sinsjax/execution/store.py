@@ -17,16 +17,27 @@ import pyarrow.parquet as pq
 from sinsjax import columns
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
-from sinsjax.execution.directory import DATASETS, MANIFEST, STUDY, Manifest
+from sinsjax.execution.directory import (
+    DATASETS,
+    MANIFEST,
+    STUDY,
+    Manifest,
+    to_sealed_json,
+    to_sealed_parquet,
+)
 from sinsjax.execution.results import read_part_metadata
-from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job, Task, TaskResult, part_metadata
 from sinsjax.messages import shorten
 from sinsjax.methods.registry import packages_of
 from sinsjax.platform import runtime
 from sinsjax.platform.files import make_folder, read_regular_file, write_file
-from sinsjax.study.identity import describe_differences, fingerprint, sections_to_json, with_draws
-from sinsjax.study.load import study_to_toml
+from sinsjax.study.load import (
+    describe_differences,
+    fingerprint,
+    sections_to_json,
+    study_to_toml,
+    with_draws,
+)
 
 _MANIFEST_EVERY_S = 1.0
 
@@ -57,7 +68,9 @@ def continue_job(job: Job) -> Job:
     return job
 
 
-def _check_environment(job: Job, manifest: Manifest, session: Mapping[str, Any]) -> None:
+def _refuse_rows_of_other_versions(
+    job: Job, manifest: Manifest, session: Mapping[str, Any]
+) -> None:
     """Reject rows of other versions or another instruction set: last bits differ, and grow."""
     names = (*runtime.RESULT_PACKAGES, *packages_of(job.study.methods))
     used = [(name, manifest.versions.get(name), session["versions"][name]) for name in names]
@@ -104,7 +117,7 @@ class DirectoryStore:
         self._facts, self._done, self._next_manifest = dict(session), dict[str, Task](), 0.0
         before = Manifest.find(job.directory) if job.resume else None
         if before:
-            _check_environment(job, before, session)
+            _refuse_rows_of_other_versions(job, before, session)
         self._started_s = before.entries.get("started_unix_s") if before else round(time.time(), 3)
         self._start_s = time.monotonic() - ((before and before.wall_s) or 0.0)
 

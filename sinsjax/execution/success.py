@@ -11,12 +11,11 @@ from sinsjax.engine.scenario import earth_rate
 from sinsjax.errors import InputError
 from sinsjax.methods.filters.keys import RESET_KEYS, acting_reset_times
 from sinsjax.methods.registry import METHODS
-from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.schema import BIAS_KEYS
 from sinsjax.study.study import Study
 from sinsjax.study.success import SuccessCriteria, settling_bands, success_criteria
-from sinsjax.study.variants import Variants
+from sinsjax.study.values import Variants, drawn_values
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 FLOOR, TRUTH = 0, 1
@@ -32,20 +31,14 @@ _ANGLES = ("pitch", "roll", "yaw")
 
 
 class RunSuccess(NamedTuple):
-    """Success of some runs.
+    """Success of some runs."""
 
-    Attributes:
-        has_floor: (runs,) whether the run has a bias floor.
-        settled_s: (2, bands, runs) settling times about the bias floor and about the truth, s; NaN
-            if the last record is still outside, or there is no bias floor.
-        ok: (2, runs) whether the run is a success, judged from either.
-        status: (runs,) of `columns.STATUSES`, None if it cannot be judged.
-    """
-
-    has_floor: NDArray
+    has_floor: NDArray  # (runs,) whether the run has a bias floor
+    # (2, bands, runs) settling times about the bias floor and about the truth, s; NaN if the last
+    # record is still outside, or there is no bias floor
     settled_s: NDArray
-    ok: NDArray
-    status: pa.Array
+    ok: NDArray  # (2, runs) whether the run is a success, judged from either
+    status: pa.Array  # (runs,) of `columns.STATUSES`, None if it cannot be judged
 
 
 def evaluate_success(
@@ -124,7 +117,7 @@ def has_floor(
     if study.is_recorded:
         return np.ones(len(variant_ids), bool)
     first, last = (int(f(draw_ids, initial=0)) for f in (np.min, np.max))
-    drawn = sampling.drawn_values(study, last + 1 - first, first=first)
+    drawn = drawn_values(study, last + 1 - first, first=first)
     keys = Variants(study, variant_ids)
 
     def number(key: str) -> np.ndarray:

@@ -25,13 +25,12 @@ from sinsjax.execution.success import (
 from sinsjax.methods.filters.keys import last_triggered_sample
 from sinsjax.methods.method import Method, OwnColumn
 from sinsjax.methods.registry import METHODS
-from sinsjax.study import sampling
 from sinsjax.study.keys import COARSE_KEYS, key_meaning
 from sinsjax.study.schema import NUMBERS_DRAWN
 from sinsjax.study.study import Study
 from sinsjax.study.success import settling_bands
-from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.variants import Variants
+from sinsjax.study.sweep import CodedColumn
+from sinsjax.study.values import Variants, drawn_values
 from sinsjax.units import ARCMIN, DEG
 
 # --- columns --------------------------------------------------------------------------------------
@@ -220,7 +219,7 @@ class TableBuilder:
     def _drawn_values(self, draw: np.ndarray) -> dict[str, Any]:
         """Return the drawn values of runs, by their draws."""
         first = int(draw.min())
-        drawn = sampling.drawn_values(self._study, int(draw.max()) + 1 - first, first=first)
+        drawn = drawn_values(self._study, int(draw.max()) + 1 - first, first=first)
         rows = {name: values[draw - first] for name, values in drawn.items()}
         return {name: row if row.ndim == 1 else list(row) for name, row in rows.items()}
 

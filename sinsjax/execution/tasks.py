@@ -1,11 +1,13 @@
 """Division of a study into tasks, whose results do not depend on machine or order.
 
 A task is one chunk of runs, computed by one call of the compiled program. The division depends only
-on the study, so a task can be repeated anywhere.
+on the study, so a task can be repeated anywhere. Interim analyses for ``[stop_when]`` occur at
+fixed numbers of draws and use all rows of those draws, so they do not depend on chunks either.
 """
 
 import hashlib
 import json
+import math
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -20,16 +22,17 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, map_in_threads
-from sinsjax.engine.duplicates import find_duplicates
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, find_duplicates, map_in_threads
 from sinsjax.engine.scenario import Scenario
-from sinsjax.execution import results, sealed, stopping
+from sinsjax.execution.directory import to_sealed_parquet
 from sinsjax.execution.forecast import Forecast
+from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
 from sinsjax.execution.success import require_floor
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import fingerprint, with_draws
+from sinsjax.study.load import fingerprint, with_draws
 from sinsjax.study.study import Study
+from sinsjax.study.success import settling_bands, success_criteria
 
 _DRAWS_PER_BLOCK = 2**16  # about 30 MB if everything is drawn
 _CACHED_CHUNKS = 3  # each has its own increments; threads may work on two programs
@@ -37,35 +40,22 @@ _MOST_COMPILERS = 4  # programs that are compiled side by side, each in memory o
 
 
 class Job(NamedTuple):
-    """A study that is ready to run, see `prepare.prepare_job`.
+    """A study that is ready to run, see `prepare.prepare_job`."""
 
-    Attributes:
-        study: checked study, at the rate of its record.
-        stored: the record of a recorded study.
-        curves: whether to keep curves; None follows the study.
-        chunk_runs: runs per chunk, rounded to two or more whole tiles; None for the default.
-        extended_at: numbers of draws of its results before each extension, ascending.
-        directory: results directory; None for tables in memory.
-        overwrite: whether existing results are removed.
-        resume: whether existing results are continued.
-        source: the study's file, or another label.
-        warnings: doubts about the study or its record, one line each.
-        notes: further information for the user, one line each.
-        forecast: expected runs, time, memory and disk space.
-    """
-
-    study: Study
-    stored: StoredRecord | None = None
-    curves: bool | None = None
+    study: Study  # at the rate of its record
+    stored: StoredRecord | None = None  # the record of a recorded study
+    curves: bool | None = None  # whether to keep curves; None follows the study
+    # runs per chunk, rounded to two or more whole tiles; None for the default
     chunk_runs: int | None = None
+    # numbers of draws of its results before each extension, ascending
     extended_at: tuple[int, ...] = ()
-    directory: Path | None = None
-    overwrite: bool = False
-    resume: bool = False
-    source: str | None = None
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    forecast: Forecast | None = None
+    directory: Path | None = None  # results directory; None for tables in memory
+    overwrite: bool = False  # existing results are removed
+    resume: bool = False  # existing results are continued
+    source: str | None = None  # the study's file, or another label
+    warnings: tuple[str, ...] = ()  # doubts about the study or its record, one line each
+    notes: tuple[str, ...] = ()  # further information for the user, one line each
+    forecast: Forecast | None = None  # expected runs, time, memory and disk space
 
     @property
     def identity(self) -> str:
@@ -85,37 +75,24 @@ class Job(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A chunk of a study's runs.
+    """A chunk of a study's runs."""
 
-    Attributes:
-        name: name of its files, without extension.
-        part: number of its program in the scenario.
-        draws: first draw of its batch and the one after the last.
-        call: number of the chunk of that batch.
-        runs: number of runs.
-        rows: names of the datasets that it writes and their rows, in that order.
-    """
-
-    name: str
-    part: int
-    draws: tuple[int, int]
-    call: int
+    name: str  # name of its files, without extension
+    part: int  # number of its program in the scenario
+    draws: tuple[int, int]  # first draw of its batch and the one after the last
+    call: int  # number of the chunk of that batch
     runs: int
+    # names of the datasets that it writes and their rows, in that order
     rows: tuple[tuple[str, int], ...]
 
 
 class TaskResult(NamedTuple):
-    """Result of one task.
-
-    Attributes:
-        task: the task.
-        content: by dataset: tables, or sealed Parquet files if the job has a directory.
-        failures: runs that diverged or became non-finite.
-    """
+    """Result of one task."""
 
     task: Task
+    # by dataset: tables, or sealed Parquet files if the job has a directory
     content: dict[str, Any]
-    failures: int
+    failures: int  # runs that diverged or became non-finite
 
 
 def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
@@ -127,7 +104,7 @@ def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str
     chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": job.chunk_runs}
     if before := [end for end in job.extended_at if end <= task.draws[0]]:
         chunk["extended_at"] = before
-    return {results.STUDY_METADATA: identity, results.CHUNK_METADATA: json.dumps(chunk)}
+    return {STUDY_METADATA: identity, CHUNK_METADATA: json.dumps(chunk)}
 
 
 class TaskRunner:
@@ -157,7 +134,7 @@ class TaskRunner:
     @property
     def stages(self) -> list[range]:
         """Ranges of draws up to each interim analysis and extension, with independent tasks."""
-        ends = sorted({*stopping.interim_draws(self.job.study), *self.job.extended_at})
+        ends = sorted({*interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
     def plan_tasks(self) -> list[list[Task]]:
@@ -180,7 +157,7 @@ class TaskRunner:
         layout = Layout(spec, len(draws), len(ids), tiles_per_chunk=self._tiles_per_chunk)
         for call in range(len(layout)):
             variant = layout.active(call).variant
-            runs = len(variant) if duplicates is None else duplicates.count_runs(variant)
+            runs = len(variant) if duplicates is None else int(duplicates.counts[variant].sum())
             rows = tuple(
                 (name, runs * (spec.intervals if name == "curves" else 1)) for name in self.schemas
             )
@@ -206,7 +183,7 @@ class TaskRunner:
         if self.job.directory is not None:
             for name, table in content.items():
                 metadata = part_metadata(self.job, self.identity, name, task)
-                content[name] = sealed.to_sealed_parquet(table, metadata)
+                content[name] = to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 
     def compile(self, tasks: Iterable[Task], on_compiled: Callable[[Future], None]) -> None:
@@ -258,3 +235,50 @@ def local_executor() -> Executor:
         {"devices": devices},
         local=True,
     )
+
+
+FIRST_INTERIM = 64
+"""Draws at the first interim analysis; each further one doubles them."""
+
+
+def interim_draws(study: Study) -> list[int]:
+    """Return the numbers of draws at the interim analyses; the last is the maximum."""
+    ends = [FIRST_INTERIM if study.stop_when else study.n_draws]
+    while ends[-1] < study.n_draws:
+        ends.append(2 * ends[-1])
+    return [*ends[:-1], study.n_draws]
+
+
+def interim_columns(study: Study) -> list[str]:
+    """Return the columns of the summary that an interim analysis needs, that of its value last."""
+    assert study.stop_when is not None
+    name = study.stop_when.statistic
+    if name == "success_rate":
+        return ["run_id", "draw_id", "variant_id", "status"]
+    truth = success_criteria(study).from_truth
+    bands = {
+        f"{columns.settle_column(band).name}_mean": columns.settle_column(band, truth=truth).name
+        for band in settling_bands(study)
+    }
+    return ["run_id", "draw_id", "variant_id", bands[name]]
+
+
+def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
+    """Return the largest half width over the variants of the statistic's 95 % interval.
+
+    It is infinite if a variant has too few settled runs for an interval. The table has
+    `interim_columns` of the summary in any order, with all runs of the first draws.
+    """
+    # Late: scipy takes a quarter of a second, and few studies need it.
+    from sinsjax import analysis
+
+    rows = table.filter(pc.less(table["draw_id"], draws)).sort_by("run_id")
+    column, widest = interim_columns(study)[-1], 0.0
+    for _, runs in analysis.group_rows(rows, ["variant_id"]):
+        if column == "status":
+            estimate = analysis.share(analysis.status_mask(runs, "ok"))
+        else:
+            estimate = analysis.mean(analysis.numeric_column(runs, column))
+        half = (estimate.high - estimate.low) / 2
+        widest = max(widest, math.inf if math.isnan(half) else half)
+    return widest

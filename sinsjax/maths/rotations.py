@@ -11,8 +11,6 @@ import jax.numpy as jnp
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.types import Quat, Scalar, Vec3
 
-_TERMS = 8
-_TERMS_OF_A_SAMPLE = 4
 _ARCSINE = ((1, 1), (1, 6), (3, 40), (5, 112), (35, 1152), (63, 2816), (231, 13312))
 """Coefficients of arcsin(s)/s in powers of s^2."""
 
@@ -66,7 +64,7 @@ def exp(phi: Vec3) -> Quat:
     A power series in a quarter of the half angle, doubled twice: without calls of sin, cos or sqrt
     it is vectorised inside a scan, and it is smooth at zero.
     """
-    return _exp(phi, _TERMS)
+    return _exp_by_series(phi, terms=8)
 
 
 def exp_of_sample(phi: Vec3) -> Quat:
@@ -75,10 +73,10 @@ def exp_of_sample(phi: Vec3) -> Quat:
     Accurate to rounding for |phi| <= 0.6 rad, to 1e-10 rad up to 2 rad: far below what coning
     compensation leaves of such a turn.
     """
-    return _exp(phi, _TERMS_OF_A_SAMPLE)
+    return _exp_by_series(phi, terms=4)
 
 
-def _exp(phi: Vec3, terms: int) -> Quat:
+def _exp_by_series(phi: Vec3, terms: int) -> Quat:
     s = scale(0.125, phi)
     g = -dot(s, s)
     cos, sinc = 1 / math.factorial(2 * terms), 1 / math.factorial(2 * terms + 1)
@@ -160,6 +158,30 @@ def tilt(q_true: Quat, q_hat: Quat) -> Vec3:
     error = multiply(q_true, conjugate(q_hat))
     zero = jnp.zeros_like(error.w)
     return log(normalise(multiply(error, Quat(error.w, zero, zero, -error.z))))
+
+
+def shortest_rotation(tilt_e: Scalar, tilt_n: Scalar) -> Quat:
+    """Return the shortest rotation e of (-t_N, t_E, u_z), the vertical seen at a tilt, to z."""
+    u_z = jnp.sqrt(jnp.maximum(1 - tilt_e * tilt_e - tilt_n * tilt_n, 0.0))
+    w = jnp.sqrt((1 + u_z) / 2)
+    return Quat(w, tilt_e / (2 * w), tilt_n / (2 * w), jnp.zeros_like(w))
+
+
+def rotation_about_vertical(sine: Scalar, cosine: Scalar) -> Quat:
+    """Return Rz(a) for the angle with this sine and cosine."""
+    # The larger of cos(a/2) and |sin(a/2)| by a root, the other from sin a.
+    larger = jnp.sqrt((1 + jnp.abs(cosine)) / 2)
+    smaller = jnp.abs(sine) / (2 * larger)
+    ahead, side = cosine >= 0, jnp.where(sine < 0, -1.0, 1.0)
+    w, z = jnp.where(ahead, larger, smaller), side * jnp.where(ahead, smaller, larger)
+    zero = jnp.zeros_like(sine)
+    return Quat(w, zero, zero, z)
+
+
+def rotation_from_tilt(tilt_e: Scalar, tilt_n: Scalar, sine: Scalar, cosine: Scalar) -> Quat:
+    """Return Rz(a) e of a tilt and the sine and cosine of an azimuth."""
+    turn = rotation_about_vertical(sine, cosine)
+    return multiply(turn, shortest_rotation(tilt_e, tilt_n))
 
 
 def euler_vector(pitch: Scalar, roll: Scalar, yaw: Scalar) -> Vec3:

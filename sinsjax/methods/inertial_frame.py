@@ -43,7 +43,6 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Triangle, add, cross, dot, scale, select_tree, triangle_index
-from sinsjax.methods.filters.attitude import rotation_about_vertical
 from sinsjax.methods.method import Method, Options, Program, Site, normalise_solution
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
@@ -147,7 +146,7 @@ def triad_attitude(body: Array, n: Array) -> Quat:
     Lengths do not matter. The row of q q' with the largest diagonal element gives q without
     cancellation at any attitude.
     """
-    c = _triad(n) @ _triad(body).T
+    c = _orthonormal_axes(n) @ _orthonormal_axes(body).T
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = c
     outer = jnp.array(
         [
@@ -161,7 +160,7 @@ def triad_attitude(body: Array, n: Array) -> Quat:
     return Quat(*row / jnp.sqrt(row @ row))
 
 
-def _triad(vectors: Array) -> Array:
+def _orthonormal_axes(vectors: Array) -> Array:
     """Return orthonormal axes as columns: along the first vector, normal to both, the third."""
     first = vectors[0] / jnp.sqrt(vectors[0] @ vectors[0])
     normal = jnp.cross(first, vectors[1])
@@ -289,7 +288,7 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     # The larger eigenvalue's eigenvector of [[a, b], [b, c]], by half the angle of (a - c, 2b).
     half = 0.5 * (a - c)
     radius = jnp.sqrt(jnp.maximum(half * half + b * b, jnp.finfo(bound.dtype).tiny))
-    first, _, _, second = rotation_about_vertical(b / radius, half / radius)
+    first, _, _, second = rotations.rotation_about_vertical(b / radius, half / radius)
     return Quat(*_unit([first * x + second * y for x, y in zip(one, other, strict=True)]))
 
 
@@ -331,9 +330,9 @@ def _ldl_solver(m: _Vector) -> Callable[[_Vector], _Vector]:
     return solve
 
 
-_method = partial(Method, needs_start=False, turning="many")
+_inertial_method = partial(Method, needs_start=False, turning="many")
 
-OPTIMISATION = _method(
+OPTIMISATION = _inertial_method(
     name="optimisation",
     summary="attitude that takes all integrated velocities closest to gravity's in inertial space",
     source="Wu et al. (2011), Wu and Pan (2013)",
@@ -342,7 +341,7 @@ OPTIMISATION = _method(
     compile_s=3.0,
 )
 
-OPTIMISATION_POSITION = _method(
+OPTIMISATION_POSITION = _inertial_method(
     name="optimisation_position",
     summary="the same of integrated positions, from an unknown velocity: for a base that surges",
     source="`methods.inertial_frame`",
@@ -351,7 +350,7 @@ OPTIMISATION_POSITION = _method(
     compile_s=3.0,
 )
 
-INERTIAL = _method(
+INERTIAL = _inertial_method(
     name="inertial",
     summary="attitude from two weighted means of the specific force, as coarse alignment does",
     source="weighted TRIAD, see `methods.inertial_frame`",

@@ -22,14 +22,14 @@ from sinsjax.methods.filters.loop import (
     Filter,
     FilterParams,
     FilterState,
+    filter_method,
     initial_state,
     reverse_time,
     subtract_fed_back,
 )
-from sinsjax.methods.filters.params import filter_method
 from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
+from sinsjax.strapdown.mechanisation import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Scalar, Vec3
 
 _TERMS = 20  # of a series in th^2, whose rest is below rounding for th = 2 pi

@@ -98,6 +98,21 @@ def unknown_covariance(like: Scalar) -> AttitudeCovariance:
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
 
 
+def rotate_covariance(
+    covariance: AttitudeCovariance, sine: Scalar, cosine: Scalar
+) -> AttitudeCovariance:
+    """Return the covariance of the misalignment in n from that of tilt (in n') and azimuth."""
+    (ee, en, eu, nn, nu, uu), c, s = covariance, cosine, sine
+    return AttitudeCovariance(
+        ee=c * c * ee - 2 * c * s * en + s * s * nn,
+        en=c * s * (ee - nn) + (c * c - s * s) * en,
+        eu=c * eu - s * nu,
+        nn=s * s * ee + 2 * c * s * en + c * c * nn,
+        nu=s * eu + c * nu,
+        uu=uu,
+    )
+
+
 class Feedback(NamedTuple):
     """Closing the loop of a method: feedback of the estimate and resets of P.
 
@@ -199,7 +214,7 @@ class Program(NamedTuple):
 
 
 StudyKeys: TypeAlias = Any
-"""The keys of a study as a method reads them: `sinsjax.study.variants.Variants`.
+"""The keys of a study as a method reads them: `sinsjax.study.values.Variants`.
 
 Params are made for the variants of one program and one site, rules see all variants of a study. In
 a gradient the values of tuned keys are traced.

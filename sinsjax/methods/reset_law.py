@@ -1,4 +1,6 @@
-"""When to reset P: the heading that a segment between two resets finds, and the schedule from it.
+"""When to reset P, the schedule by a law, and the settling time that it leads to.
+
+**The law** is of the heading that a segment between two resets finds.
 
 A reset sets P to P0, feeds the states back and keeps the attitude, so that it restarts the filter
 from a smaller error. Levelled, with the heading error phi, the platform tilts at wN sin phi, and
@@ -20,10 +22,27 @@ heading, which early resets remove. The noise of the sensors restarts with each 
 does that of a surge of density rs, which leaves the heading of a least squares over T seconds at
 sqrt(720 rs/T^5)/(g wN).
 
+**The prediction** needs more, since the law takes a segment for linear and its estimate for
+current: the filter runs, without noise, on the errors that matter, the horizontal velocity v and
+the tilt l, complex numbers with east as the real part, and the heading phi, of any size. In the
+computed frame
+
+    dv/dt = g l,    dl/dt = i wN (exp(-i phi) - 1).
+
+The filter's own model is linear: dl/dt = wN phi, and, with the measured force in A(t), whose
+horizontal part is g l, dv/dt = g l - i g l phi: a tilt feigns information on the heading. Feeding
+back a heading turns the computed frame, and the tilt with it.
+
+So it knows what the law does not: P shrinks before a large heading error has turned, the more so if
+P0 of velocity is small; a standing tilt can keep a run from ever settling. Tilts are small angles
+here: from 20 deg on, or with feedback slower than levelling, it is a guide only.
+
 All in SI units; free of JAX.
 """
 
+import cmath
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +55,7 @@ _LEVELLING = 300.0
 
 _EARLY_RESETS = 3
 """Early resets with the measured force; a single one with the force of gravity. Two are enough once
-P0 of velocity is open, 1 m/s, see `reset_prediction`."""
+P0 of velocity is open, 1 m/s, see `predict_settling_time`."""
 
 _LAG_SHARE, _LAG_TAUS = 0.45, 1.2
 """Lag before a slow feedback, as a share of its interval and in tau, the smaller one."""
@@ -52,7 +71,8 @@ _SURGE_SIGMA = 2 * DEG
 `docs/studies/reset_law/reset_surge.toml` with seeds 47 and 48."""
 
 _SECOND_SEGMENT = 2.5
-"""Length of the first of these two segments, in ell; with 2.1 cell L5 is as soon."""
+"""Length of the first of these two segments, in `ResetProblem.heading_time`; with 2.1 cell L5 is as
+soon."""
 
 _MOST_SEGMENTS = 4
 _MIN_GAIN = 0.02  # of the time, for one more segment
@@ -82,7 +102,7 @@ class ResetProblem(NamedTuple):
         return math.sqrt(self.measurement_noise / self.velocity_noise)
 
     @property
-    def ell(self) -> float:
+    def heading_time(self) -> float:
         """Time after which the heading information is that of the reset, J = 1/s0^2, s."""
 
         def is_early(time_s: float) -> bool:
@@ -162,7 +182,7 @@ def schedule(
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
-    ratio = _find_ratio(problem, heading_bound, band)
+    ratio = _required_contraction(problem, heading_bound, band)
     found = _equal_segments(problem, ratio, band, 1)
     for count in range(2, _MOST_SEGMENTS + 1):
         more = _equal_segments(problem, ratio, band, count)
@@ -181,7 +201,7 @@ def schedule_with(
     With few resets early ones are left out; with many there are more segments, or more early ones.
     Arguments and errors are those of `schedule`.
     """
-    ratio, early_s = _find_ratio(problem, heading_bound, band), levelling_time(problem)
+    ratio, early_s = _required_contraction(problem, heading_bound, band), levelling_time(problem)
     found = {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
         segments = _equal_segments(problem, ratio, band, resets + 1 - early)
@@ -195,7 +215,7 @@ def schedule_with(
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
-def _find_ratio(problem: ResetProblem, heading_bound: float, band: float) -> float:
+def _required_contraction(problem: ResetProblem, heading_bound: float, band: float) -> float:
     """Check that the law has a schedule, and return 2 tan(phi0/2)."""
     if problem.velocity_noise <= 0:
         raise NoSchedule("with a Q of zero no reset ever pays (use 'none')")
@@ -221,7 +241,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
     """Return n - 1 equal segments and a last one that contract a ratio to a band in least time."""
     if n == 1:
         return (_last_segment(problem, ratio, band),)
-    lengths_s = problem.ell * np.geomspace(1e-2, 1e2, 2000)
+    lengths_s = problem.heading_time * np.geomspace(1e-2, 1e2, 2000)
     rests = ratio / contraction(lengths_s, problem) ** (n - 1)
     place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
     return (*[lengths_s[place]] * (n - 1), _last_segment(problem, rests[place], band))
@@ -229,7 +249,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
 
 def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
     """Return two segments that settle a large heading error, though the sum favours one."""
-    first_s = _SECOND_SEGMENT * problem.ell
+    first_s = _SECOND_SEGMENT * problem.heading_time
     return first_s, _last_segment(problem, ratio / contraction(first_s, problem), band)
 
 
@@ -274,3 +294,100 @@ def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
     left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
     reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
     return np.exp(np.interp(np.log(ratio), reached, np.log(times_s), right=math.inf))
+
+
+# The settling time
+
+_MEDIAN_SIGMAS = 0.75  # 1 sigma by which noise narrows the band of a median run
+_GROWTH = 0.02  # length of a step, of the time since the last reset
+_LAG_STEP, _LAG_REACH = 0.5, 3.0  # no step is longer than tau/2 up to 3 heading times
+_MOST_STEPS = 5000  # of such steps in a run
+
+
+class _FilterStep(NamedTuple):
+    """A step of the filter and what ends it."""
+
+    end_s: float
+    length_s: float
+    since_s: float  # the last reset, at its end
+    is_fed: bool  # whether a feedback ends it
+    is_reset: bool  # whether a reset ends it
+
+
+def predict_settling_time(
+    problem: ResetProblem,
+    times_s: Sequence[float],
+    run_s: float,
+    heading: float,
+    tilt: complex = 0j,
+    band: float = 10 * ARCMIN,
+) -> float:
+    """Return the settling time of a median run, s; inf if it does not settle within the run.
+
+    Args:
+        problem: the filter and its place.
+        times_s: times of its resets, s.
+        run_s: duration of the run, s.
+        heading: initial heading error, rad.
+        tilt: initial level error, east and north as a complex number, rad.
+        band: heading error within which the run is settled, rad.
+    """
+    g, north, level = problem.gravity, problem.north_rate, problem.level
+    start = np.diag(np.square([*[problem.velocity] * 2, level, level, problem.heading]))
+    noise = np.diag([*[problem.velocity_noise] * 2, *[problem.tilt_noise] * 2, 0.0])
+    p, x = start.copy(), np.zeros(5)  # velocity and tilt, east and north; heading
+    v, settled_s, before = 0j, math.inf, math.inf
+    for end_s, dt, since_s, is_fed, is_reset in _iter_filter_steps(problem, times_s, run_s):
+        tilt_dt, heading_dt = g * dt, north * dt
+        rate = 1j * north * (cmath.exp(-1j * heading) - 1)
+        force_dt = tilt_dt * (tilt + rate * dt / 2)
+        v, tilt = v + force_dt, tilt + rate * dt
+        feigned_dt = -1j * problem.is_force_measured * force_dt + tilt_dt * heading_dt / 2
+        for m in (p, p.T, x):
+            m[0] += tilt_dt * m[2] + feigned_dt.real * m[4]
+            m[1] += tilt_dt * m[3] + feigned_dt.imag * m[4]
+            m[2] += heading_dt * m[4]
+        p += noise * dt
+        for axis, velocity in enumerate((v.real, v.imag)):
+            gain = p[axis] * (dt / (p[axis, axis] * dt + problem.measurement_noise))
+            x += gain * (velocity - x[axis])
+            p -= np.outer(gain, p[axis])
+        if is_fed:
+            v -= complex(x[0], x[1])
+            tilt = (tilt - complex(x[2], x[3])) * cmath.exp(1j * x[4])
+            heading = math.remainder(heading - x[4], 2 * math.pi)
+            x = np.zeros(5)
+        sigma = heading_sigma(since_s, problem)
+        outside = float(abs(heading) + _MEDIAN_SIGMAS * sigma - band)
+        if outside > 0:
+            settled_s = math.inf
+        elif before > 0:
+            settled_s = end_s - dt * outside / (outside - before)
+        before = outside
+        p = start.copy() if is_reset else p
+    return settled_s
+
+
+def _iter_filter_steps(
+    problem: ResetProblem, times_s: Sequence[float], run_s: float
+) -> Iterator[_FilterStep]:
+    """Yield steps that are short after each reset and grow, up to a feedback or a reset."""
+    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.heading_time
+    shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
+    longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
+    for begin, end in zip((0.0, *times_s), (*times_s, run_s), strict=True):
+        now = begin
+        while now < end:
+            since = now - begin
+            step = max(shortest, _GROWTH * since)
+            step = min(step, longest) if since < reach_s else step
+            later, is_fed = now + step, step >= feedback_s
+            if not is_fed:
+                feedback = (math.floor(now / feedback_s + 1e-6) + 1) * feedback_s
+                is_fed = later >= feedback - 0.1 * step
+                later = feedback if is_fed else later
+            is_last = later >= end - 0.1 * step
+            later = end if is_last else later
+            is_reset = is_last and end != run_s
+            yield _FilterStep(later, later - now, later - begin, is_fed or is_last, is_reset)
+            now = later

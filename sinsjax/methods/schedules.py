@@ -5,7 +5,6 @@ leaving the vector units' float lanes.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -132,11 +131,6 @@ def interpolate(share: Array, one: Array | float, other: Array | float) -> Array
     if jnp.issubdtype(jnp.result_type(share), bool):
         return jnp.where(share, one, other)
     return other + share * (one - other)
-
-
-def reset_if_due(due: Flag | Scalar, covariance_reset: CovarianceReset) -> CovarianceReset:
-    """Return the reset if it is due, else the one that leaves P unchanged; or between them."""
-    return CovarianceReset(*map(partial(interpolate, due), covariance_reset, UNCHANGED))
 
 
 def reset_covariance(

@@ -12,6 +12,18 @@ with t_E = u_N and t_N = -u_E. The velocity is fed back, and the tilt as the sho
 to z; s and k stay in the filter. They start from an unknown heading: sin a and cos a have mean zero
 and variance 1/2 each. The deviation of sqrt(s^2 + cos^2 a) from 1 is the north gyro drift in units
 of w_N. After Dmitriyev, Stepanov and Shepel (1997) and Rogers (1997).
+
+`SURGE` is for a base that surges, on which a zero-velocity filter takes the base's own velocity for
+white measurement noise. The velocity of a base that stays near its place is not white: it changes
+over seconds, and cancels over minutes. Four more states model it, on either axis
+
+    s' = v,    v' = -s/T^2 - v/T + w,    V = dV + v,
+
+with a place s that wanders within bounds, correlation time T and rms velocity sigma: w has density
+2 sigma^2/T, s starts with variance (sigma T)^2. The measured V is that of the solution, whose error
+is dV alone; only dV and the tilt are fed back. With T and sigma of the base, Q of the sensors and a
+small R, the heading comes within a few percent of the information bound (`bounds.information`),
+and P is true.
 """
 
 from functools import partial
@@ -21,22 +33,38 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
-from sinsjax.methods.filters.attitude import (
-    rotate_covariance,
-    rotation_from_tilt,
-    shortest_rotation,
+from sinsjax.methods.filters import kalman
+from sinsjax.methods.filters.kalman import Innovation
+from sinsjax.methods.filters.keys import (
+    BIAS_KEYS,
+    DIRECTION,
+    LEVEL,
+    VELOCITY,
+    FilterSection,
+    ResetsSection,
+    StateKind,
+    check_resets,
+    has_trigger,
 )
-from sinsjax.methods.filters.keys import BIAS_KEYS, DIRECTION, LEVEL, VELOCITY
-from sinsjax.methods.filters.loop import Filter, FilterParams, FilterState, initial_state
-from sinsjax.methods.filters.params import filter_method
+from sinsjax.methods.filters.loop import (
+    Filter,
+    FilterParams,
+    FilterState,
+    filter_method,
+    filter_params,
+    initial_state,
+)
 from sinsjax.methods.method import (
     UNKNOWN_ANGLE,
     AttitudeCovariance,
     Options,
+    StudyKeys,
+    rotate_covariance,
 )
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Flag, Navigation, Quat, Scalar, Vec3
+from sinsjax.value_types import Seconds, Section, SpeedSigma, field
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
@@ -100,14 +128,14 @@ def _feed_back(state: FilterState, share: Scalar) -> FilterState:
     x = state.belief.x
     fed_back = tuple(share * estimate for estimate in x[:SINE])
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
-    turn = shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
+    turn = rotations.shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
     left = (*(a - b for a, b in zip(x[:SINE], fed_back, strict=True)), *x[SINE:])
     return state._replace(
         nav=nav._replace(q=rotations.multiply(turn, nav.q)), belief=state.belief._replace(x=left)
     )
 
 
-def _direction(state: Any) -> Direction:
+def _azimuth_direction(state: Any) -> Direction:
     """Return sine and cosine of the azimuth by the estimate, normalised."""
     s, c = state.belief.x[SINE], 1 - state.belief.x[VERSINE]
     square = s * s + c * c
@@ -129,8 +157,8 @@ def _misalignment(state: FilterState) -> Vec3:
 
 
 def _attitude(state: FilterState) -> Quat:
-    x, d = state.belief.x, _direction(state)
-    correction = rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
+    x, d = state.belief.x, _azimuth_direction(state)
+    correction = rotations.rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
     return rotations.multiply(correction, state.nav.q)
 
 
@@ -139,7 +167,7 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
 
     The variance of the heading is at most that of a heading anywhere on the circle.
     """
-    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _direction(state)
+    at, p, d = triangle_index(len(state.belief.x)), state.belief.p, _azimuth_direction(state)
 
     def entry(i: int, j: int) -> Scalar:
         return p[at[i, j]]
@@ -166,17 +194,111 @@ def _covariance(state: FilterState) -> AttitudeCovariance:
     return rotate_covariance(tilt_covariance, d.sine, d.cosine)
 
 
-describe = partial(
-    filter_method,
-    without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"),
-)
-"""Return the `Method` of a filter with these states."""
+_describe = partial(filter_method, without_effect=(*BIAS_KEYS, "p0_yaw_deg", "reset_yaw_deg"))
 
-SINCOS = describe(
+SINCOS = _describe(
     STATES,
     build_filter,
     name="kalman_sincos",
     summary="Kalman filter with sine and cosine of the azimuth, linear from any heading",
     source="Dmitriyev, Stepanov and Shepel (1997), Rogers (1997)",
     step_s=15e-9,
+)
+
+
+# States of a surge
+
+PLACE_E, PLACE_N, SURGE_E, SURGE_N = range(6, 10)
+PLACE, SPEED = StateKind(None, None), StateKind(None, None, sign=-1.0)
+SURGE_STATES = (*STATES, PLACE, PLACE, SPEED, SPEED)
+
+_ADD_SURGE: Entries = {(VE, SURGE_E): 1.0, (VN, SURGE_N): 1.0}
+_SUBTRACT_SURGE: Entries = {(VE, SURGE_E): Minus(1.0), (VN, SURGE_N): Minus(1.0)}
+"""From dV to the measured V, and back."""
+
+
+def build_surge_filter(options: Options) -> Filter:
+    """Return the filter; its extra params and state are 1/T of the surge, 1/s.
+
+    `Options.specific_force` is always that of a base at rest.
+    """
+    dt = options.dt
+
+    def init(params: FilterParams, nav: Navigation) -> FilterState:
+        return init_unknown_heading(params, nav)._replace(extra=params.extra)
+
+    return build_filter(options)._replace(
+        init=init,
+        transition=lambda state, here, f_dt: surge_transition(here, state.extra, dt),
+        update=_update_with_surge,
+    )
+
+
+def surge_transition(place: Place, rate: Scalar, dt: Scalar) -> Entries:
+    """Return the non-zero entries of A dt with the states of the surge, see the module."""
+    damping = rate * dt
+    restoring = rate * damping
+    return {
+        **transition(place, dt),
+        (PLACE_E, SURGE_E): dt,
+        (PLACE_N, SURGE_N): dt,
+        (SURGE_E, PLACE_E): Minus(restoring),
+        (SURGE_N, PLACE_N): Minus(restoring),
+        (SURGE_E, SURGE_E): Minus(damping),
+        (SURGE_N, SURGE_N): Minus(damping),
+    }
+
+
+def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
+    """Update with the velocity of the solution, which should be that of the base."""
+    measured = state.nav.ve, state.nav.vn
+    predicted = kalman.propagate(state.belief, _ADD_SURGE)
+    updated, innovation = kalman.update(predicted, (VE, VN), measured, params.r)
+    return state._replace(belief=kalman.propagate(updated, _SUBTRACT_SURGE)), innovation
+
+
+class SurgeSection(Section):
+    """[surge]: assumed surge of the base."""
+
+    r_surge_m_per_s: SpeedSigma = field("rms velocity along east and north", 0.1)
+    r_surge_time_s: Seconds = field("correlation time of the velocity", 5.0)
+
+
+def surge_params(keys: StudyKeys, xp: Any) -> FilterParams:
+    """Return the params of the filter with states of the surge, leaves (variants,)."""
+    own = filter_params(STATES, keys, xp, models_surge=True)
+    variance = keys.column("r_surge_m_per_s") ** 2
+    time = keys.column("r_surge_time_s")
+    p0 = (*(variance * time**2,) * 2, *(variance,) * 2)
+    q = 2 * variance / time / keys.rate_hz
+    return own._replace(
+        p0=(*own.p0, *p0),
+        q=(*own.q, *(0.0 * q,) * 2, *(q,) * 2),
+        reset_to=(*own.reset_to, *p0),
+        extra=1 / time,
+    )
+
+
+def check_no_trigger(study: StudyKeys) -> None:
+    """Refuse triggers, which assume that the first two states are measured."""
+    if not study.has("resets"):
+        return
+    for point in study.combinations("method", "reset_trigger"):
+        if point["method"] == SURGE.name and has_trigger(point["reset_trigger"]):
+            text = f"does not apply to method {SURGE.name} (use reset_times_s or reset_count)"
+            study.refuse("reset_trigger", text)
+
+
+SURGE = _describe(
+    SURGE_STATES,
+    build_surge_filter,
+    name="kalman_surge",
+    summary="the same with states for the velocity of a base that surges",
+    source="`methods.sincos`",
+    sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
+    params=surge_params,
+    rules=(check_no_trigger, check_resets),
+    turning="many",
+    step_s=25e-9,
+    compile_s=9.0,
 )

@@ -13,15 +13,16 @@ from sinsjax.maths.algebra import Entries
 from sinsjax.methods.filters.keys import ACCEL_BIAS, FIVE_STATES, GYRO_BIAS
 from sinsjax.methods.filters.loop import (
     FIRST_BIAS,
+    LOOP_KEYS,
     Filter,
     FilterParams,
     FilterState,
+    filter_method,
     initial_state,
 )
-from sinsjax.methods.filters.params import LOOP_KEYS, filter_method
 from sinsjax.methods.method import Options
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
+from sinsjax.strapdown.mechanisation import PHI_E, PHI_N, PHI_U, VE, VN, five_state_transition
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
 
 TEN_STATES = (*FIVE_STATES, ACCEL_BIAS, ACCEL_BIAS, GYRO_BIAS, GYRO_BIAS, GYRO_BIAS)

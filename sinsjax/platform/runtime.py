@@ -1,14 +1,16 @@
-"""Configuration of this process: devices, precision, compiler options; and its description."""
+"""Configuration of this process: devices, precision, compiler options, cache; its description."""
 
 import functools
+import hashlib
 import importlib.metadata
 import os
 import platform
 import warnings
+from pathlib import Path
 from typing import Any
 
 from sinsjax.errors import InputError
-from sinsjax.platform import machine, xla
+from sinsjax.platform import machine
 
 RESULT_PACKAGES = ("sinsjax", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
 """Packages whose versions may change result rows or the bytes of their files."""
@@ -20,9 +22,9 @@ def configure(devices: int | None = None) -> None:
     """Set double precision, the number of CPU devices and the compiler options of this process.
 
     Every command calls it, and so does every function that computes if it was not called before,
-    see `ensure_configured`. Devices and compiler options (`xla`) can be set only until JAX starts,
+    see `ensure_configured`. Devices and compiler options can be set only until JAX starts,
     which it does at its first computation. Programs that take long to compile are cached for later
-    processes, see `compile_cache`.
+    processes, see `enable_cache`.
 
     Args:
         devices: CPU devices, at least 1: the number of threads that run a program. None uses
@@ -43,18 +45,16 @@ def configure(devices: int | None = None) -> None:
     global _configured
     import jax
 
-    from sinsjax.platform import compile_cache
-
     if devices is not None and devices < 1:
         raise InputError(f"devices: must be at least 1, not {devices}")
     chosen = jax.config.values["jax_num_cpu_devices"] if devices is None else devices
-    if xla.has_backend_started():
-        _warn_if_late(devices)
+    if machine.has_backend_started():
+        _warn_if_jax_has_started_otherwise(devices)
     else:
-        xla.apply_options()
+        machine.apply_xla_options()
         jax.config.update("jax_num_cpu_devices", chosen if chosen >= 1 else usable_cores())
     _enable_x64()
-    compile_cache.enable_cache()
+    enable_cache()
     _configured = True
 
 
@@ -75,13 +75,13 @@ def _enable_x64() -> None:
         raise InputError("sinsjax needs double precision: call it outside jax.enable_x64(False)")
 
 
-def _warn_if_late(devices: int | None) -> None:
+def _warn_if_jax_has_started_otherwise(devices: int | None) -> None:
     """Warn that JAX has started without the compiler options or the devices asked for."""
     import jax
 
     running = max(1, jax.config.values["jax_num_cpu_devices"])
     arguments = "" if devices is None else f"devices={devices}"
-    if xla.missing_options() and xla.options_work():
+    if machine.missing_xla_options() and machine.xla_options_work():
         problem = "without sinsjax's compiler options (runs are several times slower)"
     elif devices not in (None, running):
         problem = f"with {running} CPU device(s) instead of {devices}"
@@ -91,7 +91,7 @@ def _warn_if_late(devices: int | None) -> None:
         f"JAX has started already, {problem}: restart Python or the notebook's kernel and call"
         f" sinsjax.configure({arguments}) before JAX computes anything"
     )
-    warnings.warn(text, xla.ConfigurationWarning, stacklevel=3)
+    warnings.warn(text, machine.ConfigurationWarning, stacklevel=3)
 
 
 def start_backend() -> None:
@@ -143,7 +143,7 @@ def describe_environment() -> dict[str, Any]:
         "versions": relevant_versions(),
         "platform": platform.platform(),
         "cpu": cpu.get("model name") or platform.processor() or platform.machine(),
-        "instructions": xla.instruction_set(),
+        "instructions": machine.instruction_set(),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
 
@@ -162,8 +162,6 @@ def info() -> dict[str, Any]:
     """
     import jax
 
-    from sinsjax.platform import compile_cache
-
     ensure_configured()
     environment = describe_environment()
     return {
@@ -173,5 +171,87 @@ def info() -> dict[str, Any]:
         "devices": [str(device) for device in jax.devices()],
         "x64": bool(jax.config.jax_enable_x64),
         "compile_cache": jax.config.values["jax_compilation_cache_dir"]
-        or f"off ({compile_cache.reason_off()})",
+        or f"off ({reason_cache_is_off()})",
     }
+
+
+CACHE_VARIABLE = "SINSJAX_COMPILE_CACHE"
+
+CACHE_SAFE_JAXLIB = frozenset({"0.10.2"})
+"""jaxlib versions tested against every known fault of the cache; on some processors 0.9.1 to 0.10.1
+reject all their own entries, with a warning at every start."""
+
+MAX_CACHE_BYTES = 2**28
+"""Size limit of a folder, about a hundred programs; JAX removes the least recently used first."""
+
+_MIN_COMPILE_S = 0.2
+_CACHE_SIZE = (
+    "JAX_COMPILATION_CACHE_MAX_SIZE"  # JAX's own variable takes precedence over `MAX_CACHE_BYTES`
+)
+
+_reason_cache_is_off = "sinsjax.configure() was not called"
+
+
+def reason_cache_is_off() -> str:
+    """Return the reason why the cache is off."""
+    return _reason_cache_is_off
+
+
+def enable_cache() -> Path | None:
+    """Turn JAX's persistent compilation cache on, and return its private folder.
+
+    It is on, in this user's cache folder, with a jaxlib in `CACHE_SAFE_JAXLIB`, unless the variable
+    ``SINSJAX_COMPILE_CACHE`` is 0; 1 enables it with any jaxlib, and a path moves it there. None
+    has a reason, see `reason_cache_is_off`. A program compiled for one CPU may be rejected or crash
+    on another, and options change programs, so there is a subfolder for each jaxlib version,
+    processor and value of ``XLA_FLAGS``. Whoever can write there can run code here, so it must be
+    this user's alone. JAX limits its size. An entry without an access time was cut short by a full
+    disk or a kill; it would stop all later writing and is removed here.
+
+    Raises:
+        InputError: the requested folder cannot be created, or others can write there.
+    """
+    global _reason_cache_is_off
+    import jax  # here, to keep importing this module cheap
+
+    setting = os.environ.get(CACHE_VARIABLE, "").strip()
+    version = importlib.metadata.version("jaxlib")
+    if setting == "0":
+        _reason_cache_is_off = f"{CACHE_VARIABLE}=0"
+    elif not setting and jax.config.values["jax_compilation_cache_dir"]:
+        _reason_cache_is_off = "JAX already has a compilation cache"
+    elif not setting and version not in CACHE_SAFE_JAXLIB:
+        _reason_cache_is_off = (
+            f"not tested with jaxlib {version}; {CACHE_VARIABLE}=1 enables it anyway"
+        )
+    else:
+        try:
+            return _use_cache_folder(Path(setting) if setting not in ("", "1") else None)
+        except OSError as error:
+            _reason_cache_is_off = f"{error.filename or setting}: {error.strerror or error}"
+        if setting:
+            raise InputError(f"{CACHE_VARIABLE}: {_reason_cache_is_off}")
+    return None
+
+
+def _use_cache_folder(root: Path | None) -> Path:
+    """Use the folder for this jaxlib, processor and options, created if missing."""
+    import jax
+
+    root = root or machine.user_cache_folder() / "compiled"
+    cpu, version = machine.cpu_info(), importlib.metadata.version("jaxlib")
+    parts = [cpu.get(key, "") for key in ("model name", "flags")]
+    parts.append(os.environ.get("XLA_FLAGS", ""))
+    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+    folder = machine.ensure_private_folder(root / f"jaxlib-{version}-{digest}")
+    # At worst a program is compiled again.
+    warnings.filterwarnings("ignore", "Error writing persistent compilation cache entry")
+    if _CACHE_SIZE not in os.environ:
+        jax.config.update("jax_compilation_cache_max_size", MAX_CACHE_BYTES)
+        for entry in folder.glob("*-cache"):
+            # JAX writes the file of the access time last.
+            if not entry.with_name(f"{entry.name.removesuffix('-cache')}-atime").exists():
+                entry.unlink(missing_ok=True)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_S)
+    return folder

@@ -1,23 +1,13 @@
-"""Reading and writing recorded inertial data: PSINS text, CSV, Parquet, and arrays in memory.
+"""Recorded inertial data: PSINS text, CSV, Parquet, and arrays in memory.
 
-Every reader returns a `Record`: increments over each sample in SI units and right-front-up axes.
-Every user mistake raises `InputError` with one line that names the file and the row, column or key.
+It takes a file or arrays and a `RecordLayout`, and gives a `Record`: increments over each sample in
+SI units and right-front-up axes, with what is missing or doubtful in them. Every mistake of a user
+raises `InputError` with one line that names the file and the row, column or key.
 """
 
-from pathlib import Path
-
-from sinsjax.records.arrays import record_from_arrays
-from sinsjax.records.layout import (
-    PSINS_LAYOUT,
-    Record,
-    RecordLayout,
-    check_layout,
-    require_span,
-)
-from sinsjax.records.psins import read_psins
-from sinsjax.records.reader import open_log
+from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout, check_layout, require_span
 from sinsjax.records.reference import Reference, read_reference
-from sinsjax.records.tabular import record_from_table
+from sinsjax.records.sources import read_psins, read_record, record_from_arrays
 
 __all__ = [
     "PSINS_LAYOUT",
@@ -31,20 +21,3 @@ __all__ = [
     "record_from_arrays",
     "require_span",
 ]
-
-
-def read_record(path: str | Path, layout: RecordLayout) -> Record:
-    r"""Read a record in the layout's format: "psins", "csv" (delimited text) or "parquet".
-
-    Examples:
-        >>> from pathlib import Path
-        >>> from sinsjax.records import RecordLayout
-        >>> _ = Path("log.csv").write_text("gx,gy,gz,ax,ay,az\n" + 200 * "0,0,0,0,0,0.098\n")
-        >>> columns = {"gyro_columns": ("gx", "gy", "gz"), "accel_columns": ("ax", "ay", "az")}
-        >>> sinsjax.read_record("log.csv", RecordLayout("csv", **columns, rate_hz=100.0)).dv.shape
-        (200, 3)
-    """
-    if layout.format == "psins":
-        return read_psins(path, layout)
-    check_layout(layout, str(path))
-    return record_from_table(layout, open_log(path, layout.columns, layout.skip_rows))

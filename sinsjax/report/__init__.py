@@ -8,11 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sinsjax.console import print_line
 from sinsjax.errors import InputError
 from sinsjax.execution.directory import remove_other_figures
 from sinsjax.execution.results import Results
-from sinsjax.messages import shorten
+from sinsjax.messages import print_line, shorten
 from sinsjax.platform.files import make_folder, write_file
 from sinsjax.report import monte_carlo
 from sinsjax.report.base import Report, Table, describe_success_criterion

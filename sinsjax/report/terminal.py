@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table as RichTable
 
-from sinsjax import console as screen
+from sinsjax import messages as screen
 from sinsjax.report.base import Report, Table
 
 PIPE_WIDTH = 120

@@ -15,13 +15,13 @@ from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.success import success_measures
 from sinsjax.study.sweep import TIMES
 from sinsjax.tuning import objective
-from sinsjax.tuning.law_point import LAW
 from sinsjax.tuning.results import (
     SEARCH_LABELS,
     TuningResults,
     describe_objective,
     objective_label,
 )
+from sinsjax.tuning.search import LAW
 
 
 def build_report(tuning: TuningResults) -> Report:

@@ -17,10 +17,10 @@ from sinsjax.analysis.formats import format_heading_error, format_percent
 from sinsjax.analysis.grids import Grid
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution.checks import band_warnings
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
-from sinsjax.methods.gravity_fit.method import REFITS
+from sinsjax.methods.gravity_fit import REFITS
 from sinsjax.report.base import MIN_DRAWS_FOR_INTERVALS, Fact, Table, caution
 from sinsjax.report.choices import Choices, condition_header, format_condition
 from sinsjax.study.filter_noise import noise_ratios_by_sensor

@@ -1,7 +1,8 @@
 """True motion of the base, and the increments that ideal sensors would measure.
 
-The base stays in place, sways about a mean attitude and may be turned, the sensors at a lever arm
-from the centre of the sway, which the axis of the turns passes through. Angular rate and specific
+The base stays in place, sways about a mean attitude and may be turned or follow given attitudes,
+the sensors at a lever arm from the centre of the sway, which the axis of the turns passes through.
+Angular rate and specific
 force are known in closed form at any time and are integrated over each sample by Gauss quadrature,
 so the increments are independent of the mechanisation under test.
 """
@@ -15,7 +16,6 @@ import numpy as np
 
 from sinsjax.maths.algebra import add, cross, dot, scale
 from sinsjax.maths.rotations import from_euler, multiply, sin_cos, sin_cos_near_zero
-from sinsjax.strapdown.attitude_path import AttitudePath
 from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.turns import AngleRates, Turns
 from sinsjax.types import Array, Increments, Quat, Scalar, Vec3
@@ -62,6 +62,42 @@ class Sway(NamedTuple):
             self.amplitude * omega * cos,
             -self.amplitude * omega * omega * sin,
         )
+
+
+class AttitudePath(NamedTuple):
+    """Cubic splines of pitch, roll and yaw.
+
+    Attributes:
+        time: (n,) knots, s, increasing.
+        coefficients: (4, n - 1, 3) of the powers 3 to 0 of the time after each knot but the last,
+            rad and s.
+    """
+
+    time: Array
+    coefficients: Array
+
+    def at(self, t: Scalar) -> tuple[AngleRates, AngleRates, AngleRates]:
+        """Return pitch, roll and yaw with their derivatives at a time (s)."""
+        time, knots = jnp.asarray(self.time), len(self.time)
+        place = jnp.clip(jnp.searchsorted(time, t, side="right") - 1, 0, knots - 2)
+        s = t - time[place]
+        a, b, c, d = jnp.asarray(self.coefficients)[:, place]
+        angles = ((a * s + b) * s + c) * s + d
+        rates, accelerations = (3 * a * s + 2 * b) * s + c, 6 * a * s + 2 * b
+        pitch, roll, yaw = (AngleRates(angles[i], rates[i], accelerations[i]) for i in range(3))
+        return pitch, roll, yaw
+
+
+def attitude_path(time_s: np.ndarray, attitude_deg: np.ndarray) -> AttitudePath:
+    """Return the path through pitch, roll and yaw (n, 3), deg, at increasing times (n,), s.
+
+    Jumps by whole turns are removed.
+    """
+    # Slow to import, and only a file needs it.
+    from scipy.interpolate import CubicSpline
+
+    angles = np.unwrap(np.radians(attitude_deg), axis=0)
+    return AttitudePath(np.asarray(time_s, float), CubicSpline(time_s, angles).c)
 
 
 class Motion(NamedTuple):
@@ -318,6 +354,8 @@ def ideal_increments(
 ) -> Array:
     """Ideal sensor increments of samples from ``first`` on, (samples, 6), see `ideal_sample`.
 
+    With axes they are followed by the `Axes` of n over each sample, (samples, 15).
+
     They are computed in two or more batches of equal size: a shorter last batch, or a single one
     whose loop the compiler removes, would give other bits.
     """
@@ -330,7 +368,3 @@ def ideal_increments(
         return jnp.stack(jax.tree.leaves(made if with_axes else made.increments))
 
     return jax.lax.map(row, numbers, batch_size=_BATCH)[:samples]
-
-
-ideal_increments_and_axes = partial(ideal_increments, with_axes=True)
-"""`ideal_increments` followed by the `Axes` of n over each sample, (samples, 15)."""

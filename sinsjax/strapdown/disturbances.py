@@ -120,7 +120,7 @@ def _add_optional(a: Any, b: Any) -> Any:
     return a if b is None else b if a is None else add(a, b)
 
 
-def disturb_motion(
+def add_surge(
     sensed: IdealSample, disturbed: SampleDisturbance, place: Place, dt: Scalar
 ) -> Increments:
     """Return the increments of ideal sensors on a base that surges, from those of one that sways.

@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 from sinsjax.errors import InputError
+from sinsjax.messages import print_warning
 from sinsjax.study.files import TOO_DEEP
 from sinsjax.study.keys import SECTION_OF, SECTIONS, TomlTable, alternative_keys
 
@@ -23,21 +24,16 @@ class SetOptions(dict[str, Any]):
     """The values of ``--set`` by place, whose user is told what else they drop."""
 
 
-@cache
-def _tell(line: str) -> None:
-    """Print a warning once: a command may read its study twice."""
-    from sinsjax.console import print_warning
-
-    print_warning(line)
+_print_warning_once = cache(print_warning)  # a command may read its study twice
 
 
-def parse_changes(texts: Iterable[str]) -> SetOptions:
-    """Return the values of some texts ``PLACE=VALUE`` by place.
+def parse_changes(texts: Iterable[str] | None) -> SetOptions:
+    """Return the values of texts ``PLACE=VALUE`` by place, none for None.
 
     Values are written as in TOML; a single word needs no quotes.
     """
     changes = SetOptions()
-    for text in texts:
+    for text in texts or ():
         place, equals, value = (part.strip() for part in text.partition("="))
         if not (place and equals and value):
             raise InputError(f"--set {text}: must be SECTION.KEY=VALUE, {_EXAMPLE}=12")
@@ -63,13 +59,13 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
     for place, value in changes.items():
-        dropped = _change(result, place, copy_tables(value), places)
+        dropped = _change_value(result, place, copy_tables(value), places)
         if dropped and isinstance(changes, SetOptions):
-            _tell(f"--set {place} replaces {', '.join(dropped)}.")
+            _print_warning_once(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
-def _change(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
+def _change_value(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
     """Change a value in tables, and return the alternatives to it that were there."""
     *above, name = place.split(".")
     table: Any = tables

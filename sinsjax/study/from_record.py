@@ -19,12 +19,14 @@ from sinsjax.messages import CONTROL, escape_controls, explain_error, suggest_cl
 from sinsjax.records import read_record
 from sinsjax.records.checks import (
     ACCEL_BIAS_UG,
+    EARTH_RATE,
     StationaryValues,
     check_stationary,
+    measure_motion,
     report_anomalies,
+    white_noise,
 )
 from sinsjax.records.layout import Record, RecordLayout, find_spans
-from sinsjax.records.motion import EARTH_RATE, measure_motion, white_noise
 from sinsjax.records.propose import Proposal, propose_layout
 from sinsjax.records.reader import open_log
 from sinsjax.study.files import DOUBT, OPEN, QUESTION, schema_line
@@ -80,7 +82,9 @@ def make_study_text(
     sections |= {"coarse": {}, "alignment": {"method": "inertial"}}
     if not questions.keys() & {"gyro_columns", "accel_columns", "rate_hz", "time_unit"}:
         record = read_record(record_path, layout)
-        doubts = _complete(sections, record, proposal, given.get("gyro_bias_deg_per_h"))
+        doubts = _add_what_samples_show(
+            sections, record, proposal, given.get("gyro_bias_deg_per_h")
+        )
     else:
         doubts = [_UNKNOWN_LENGTH]
         if layout.rate_hz or "rate_hz" in questions:  # else the stamps will give it
@@ -147,7 +151,7 @@ def _set_times(
     coarse |= {"coarse_method": "inertial", "coarse_duration_s": coarse_s}
 
 
-def _complete(
+def _add_what_samples_show(
     sections: dict[str, dict[str, Any]], record: Record, proposal: Proposal, bias: float | None
 ) -> list[str]:
     """Add what the samples of a record show to the sections of its study; return the doubts."""

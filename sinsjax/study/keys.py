@@ -1,7 +1,10 @@
-"""The keys of a study: `KEYS` has one object per key, which the rules, messages and pages read."""
+"""The keys of a study: `KEYS` has one object per key, which the rules, messages and pages read.
+
+The end of the file says what a key means that a study, or one of its cases, leaves out.
+"""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from typing import Any, NamedTuple
@@ -9,7 +12,7 @@ from typing import Any, NamedTuple
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sinsjax import gone
+from sinsjax import messages
 from sinsjax.errors import InputError
 from sinsjax.messages import suggest_closest
 from sinsjax.methods.method import INITIAL_KEYS
@@ -20,8 +23,9 @@ from sinsjax.methods.registry import (
     SECTIONS_OF_METHODS,
     drop_clashing_plugins,
     external_names,
+    unread_keys,
 )
-from sinsjax.study import alignment, schema
+from sinsjax.study import schema
 from sinsjax.units import split_unit
 from sinsjax.value_types import KeyCondition, KeyInfo, Section, key_info
 
@@ -30,12 +34,12 @@ _SECTIONS_BEFORE: dict[str, type[Section]] = {
     "earth": schema.EarthSection,
     "motion": schema.MotionSection,
     "sensors": schema.SensorsSection,
-    "alignment": alignment.AlignmentSection,
+    "alignment": schema.AlignmentSection,
 }
 _SECTIONS_AFTER: dict[str, type[Section]] = {
-    "passes": alignment.PassesSection,
+    "passes": schema.PassesSection,
     "record": schema.RecordSection,
-    "coarse": alignment.CoarseSection,
+    "coarse": schema.CoarseSection,
     "stop_when": schema.StopWhenSection,
     "tune": schema.TuneSection,
 }
@@ -62,7 +66,7 @@ SECTION_OF = {key: name for name, model in SECTIONS.items() for key in model.mod
 PASS_KEYS = ("stored_s", "passes", "ending")
 """Keys that determine the number of updates and the sample of the stored record that each reads."""
 
-COARSE_KEYS = tuple(alignment.CoarseSection.model_fields)
+COARSE_KEYS = tuple(schema.CoarseSection.model_fields)
 """Keys of coarse alignment."""
 
 TABLES: dict[str, type[Section]] = {
@@ -107,9 +111,9 @@ class Key(NamedTuple):
 
 def unknown_key_error(key: str, known: Iterable[str]) -> str:
     """Return the error text of a key that is gone, in the wrong section, or unknown."""
-    for place, text in gone.KEYS.items():
+    for place, text in messages.GONE_KEYS.items():
         if place.partition(".")[2] == key:
-            return gone.LINE.format(text)
+            return messages.GONE_LINE.format(text)
     if key in SECTION_OF:
         return f"unknown key (it belongs in [{SECTION_OF[key]}])"
     for names in (known, SECTION_OF):
@@ -252,3 +256,85 @@ def describe_method(method_name: str | None) -> list[str]:
     }
     lines = (f"    {fact}: {text}" for fact, text in facts.items() if text)
     return [f"{method_name}: {method.summary}", *lines]
+
+
+class GivenKeys(NamedTuple):
+    """The keys that a study gives, or one of its cases: sections by name, and values that vary."""
+
+    tables: TomlTable
+    varied: Mapping[str, Collection[Any]]
+
+    @property
+    def is_recorded(self) -> bool:
+        """Return whether the sensor data are those of a record."""
+        return "record" in self.tables
+
+    def gives(self, key: str) -> bool:
+        """Return whether a key is given, in its section or by what varies it."""
+        return key in self.varied or key in self.tables.get(SECTION_OF[key], ())
+
+    def words(self, key: str) -> set[Any]:
+        """Return the values of a key of words, or the default of its field."""
+        if key in self.varied:
+            return {*self.varied[key]}
+        default = SECTIONS[SECTION_OF[key]].model_fields[key].default
+        value = self.tables.get(SECTION_OF[key], {}).get(key, default)
+        return {value if isinstance(value, str) else default}  # others are refused later
+
+
+_WHITE_NOISE = {white for white, _ in SECTIONS["sensors"].exclusive}
+
+
+def _sample_time(given: GivenKeys) -> float | None:
+    """Return the time between two samples, s; None until a valid rate is known."""
+    rate_hz = given.tables.get("study", {}).get("rate_hz")
+    known = isinstance(rate_hz, int | float) and 1e-12 <= rate_hz <= 1e12
+    return 1 / rate_hz if known else None
+
+
+def dependent_default(key: str, given: GivenKeys) -> Any:
+    """Return the default of a key that its field does not have; None if it has none.
+
+    A key has no default beside an alternative to it. Some have none either where others give them.
+    """
+    info, others = leaf_info(key), alternative_keys(key)
+    if info.beside or key in ("feedback_interval_s", *_WHITE_NOISE):
+        others = {key, *others}
+    if any(map(given.gives, others)):
+        return None
+    if info.in_simulation is not None:
+        return None if given.is_recorded else info.in_simulation
+    if key == "feedback_interval_s":
+        return _sample_time(given)
+    if key in _WHITE_NOISE:
+        return 0.0
+    applies = info.beside is None or given.words(info.beside) - {None, "none"}
+    return info.default if applies else None
+
+
+def values_of_omitted_keys(given: GivenKeys) -> dict[str, TomlTable]:
+    """Return the values of the keys that a study leaves out, by the sections that it has.
+
+    Keys that only other methods read, or other models of the Earth, stay without a value.
+    """
+    tables, varied_sections = given.tables, {SECTION_OF.get(key) for key in given.varied}
+    unread = unread_keys(given.words("method") & METHODS.keys())
+    if "constants" not in given.words("earth"):
+        unread |= schema.EARTH_CONSTANTS.keys()
+    absent = SIMULATED_ONLY if given.is_recorded else ("record",)
+    optional = {"passes", "stop_when", "tune"} | (set() if given.is_recorded else {"coarse"})
+    found: dict[str, TomlTable] = {}
+    for name, section in SECTIONS.items():
+        keys, is_given = section.model_fields.keys(), name in varied_sections or tables.get(name)
+        is_idle = name in SECTIONS_OF_METHODS and keys <= unread
+        if name in absent or not is_given and (is_idle or name in optional - tables.keys()):
+            continue
+        if is_idle:  # complete, as if another variant read it
+            unread -= {*keys, "feedback_interval_s"}
+        found[name] = {}
+    for name, values in found.items():
+        for key in SECTIONS[name].model_fields.keys() - tables.get(name, {}).keys() - unread:
+            default = dependent_default(key, given) if SECTION_OF[key] == name else None
+            if default is not None:
+                values[key] = default
+    return found

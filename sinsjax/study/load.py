@@ -1,9 +1,11 @@
-"""Reading and writing studies: one TOML file, checked in full before anything runs.
+"""Reading and writing studies: one TOML file, checked in full before anything runs; its identity.
 
 A file either gives a `Study` or raises `InputError` with a line for each mistake that the first
 stage with any finds: names of sections and keys, values, rules (see `rules`), points of [tune].
 """
 
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,20 +15,22 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from sinsjax.errors import ErrorCollector, InputError
-from sinsjax.messages import escape_controls, explain_error, suggest_closest
+from sinsjax.messages import escape_controls, explain_error, shorten, suggest_closest
 from sinsjax.methods.registry import BROKEN, register_external
 from sinsjax.study import files, rules, search_space
 from sinsjax.study.changes import apply_changes, copy_tables
-from sinsjax.study.defaults import GivenKeys, filled_in
 from sinsjax.study.keys import (
     KEYS,
     SECTION_OF,
     SECTIONS,
     SIMULATED_ONLY,
+    GivenKeys,
     TomlTable,
     key_summary,
     unknown_key_error,
+    values_of_omitted_keys,
 )
+from sinsjax.study.motion import attitude_digest
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
@@ -144,7 +148,7 @@ def _read_study(data: TomlTable, name: str) -> Study:
     tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
     with errors.collect():
         check_alternatives(tables_of_keys | sweep.table_of)
-    defaults = filled_in(GivenKeys(given, sweep.values_varied))
+    defaults = values_of_omitted_keys(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
     if "tune" in sections:
@@ -234,3 +238,68 @@ def _format_error(error: ErrorDetails) -> str:
     text = explain_error(error, f"{section}.{key}")
     index = "".join(f"[{part}]" for part in error["loc"] if isinstance(part, int))
     return f"[{section}] {key}{index}: {text}{hint}"
+
+
+NOT_COMPUTED: Any = {"tune": True, "study": {"name", "unchecked"}}
+"""Keys without effect on the rows of a sweep."""
+
+
+def fingerprint(study: Study) -> str:
+    """Return 16 hex digits that identify the results of a study.
+
+    The content of a file of the base's attitude counts, its name too. The name of the study and the
+    order of keys in a section have no effect. The order of the axes, of the zips
+    and of the drawn keys has: it numbers the variants and the points of a design.
+    """
+    content = study.model_dump(mode="json", exclude=NOT_COMPUTED, exclude_none=True)
+    for name in ("axes", "zips", "drawn"):
+        content[name] = list(content.get(name, {}).items())
+    if attitude := attitude_digest(study):
+        content["attitude"] = attitude
+    content["zips"] = [keys for _, keys in content["zips"]]  # names have no effect
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def with_draws(study: Study, draws: int) -> Study:
+    """Return a simulated study with another number of draws, unchecked."""
+    return study.model_copy(update={"study": study.study.model_copy(update={"draws": draws})})
+
+
+def sections_to_json(study: Study) -> dict[str, Any]:
+    """Return the sections of a resolved study as JSON values, as a manifest stores them."""
+    return study.model_dump(mode="json", exclude_none=True)
+
+
+def describe_differences(
+    old: Study | Mapping[str, Any],
+    new: Study | Mapping[str, Any],
+    labels: tuple[str, str] = ("there", "here"),
+) -> list[str]:
+    """Return the keys that affect results and differ between two studies, with both values.
+
+    A study may be the sections of a manifest; the labels are words for the places of both.
+    """
+    before, after = _values_by_key(old), _values_by_key(new)
+    return [
+        f"{key}: {shorten(str(before.get(key, 'none')), 60)} {labels[0]},"
+        f" {shorten(str(after.get(key, 'none')), 60)} {labels[1]}"
+        for key in before | after
+        if before.get(key) != after.get(key)
+    ] or ["the order of its keys, or the content of [motion] attitude_file"]
+
+
+def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a study by section and key of its file."""
+    tables = dict(sections_to_json(study) if isinstance(study, Study) else study)
+    zips, cases = tables.pop("zips", {}), tables.pop("cases", ())
+    tables |= {f"axes.{name}": keys for name, keys in zips.items()}
+    tables |= {f"cases {number}": case for number, case in enumerate(cases)}
+    names = {f"[study] {key}" for key in NOT_COMPUTED["study"]}
+    return {
+        place: value
+        for name, table in tables.items()
+        if name != "tune" and isinstance(table, Mapping)
+        for key, value in table.items()
+        if (place := f"[{name}] {key}") not in names
+    }

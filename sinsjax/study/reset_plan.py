@@ -5,9 +5,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from sinsjax.errors import InputError
-from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import predict_settling_time
-from sinsjax.study import display
+from sinsjax.messages import format_facts
+from sinsjax.methods.reset_law import ResetProblem, predict_settling_time
 from sinsjax.study.keys import format_toml
 from sinsjax.study.load import load_study
 from sinsjax.study.reset_schedules import (
@@ -69,7 +68,7 @@ class ResetPlan(NamedTuple):
             f" {_format_time(self.settling_s)} (median run, predicted)",
             "without": _format_time(self.without_s),
         }
-        return display.format_text("Reset schedule by the law", facts)
+        return format_facts("Reset schedule by the law", facts)
 
 
 def _format_time(time_s: float) -> str:

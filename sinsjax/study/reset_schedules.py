@@ -54,7 +54,7 @@ _DEFAULT_TRIGGER = {
 
 OPEN_VELOCITY = 1.0
 """Standard deviation of velocity after a reset by the law, unless it is given, m/s: with less, P
-shrinks before a large heading error has turned (`methods.reset_prediction`)."""
+shrinks before a large heading error has turned (`methods.reset_law`)."""
 
 _VELOCITY = "reset_velocity_m_per_s"
 

@@ -6,7 +6,7 @@ its axes. Usual ranges of numbers are part of their keys, see `value_types.KeyIn
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -23,8 +23,7 @@ from sinsjax.methods.filters.keys import (
     scheduled_reset_times,
 )
 from sinsjax.methods.registry import METHODS, unread_keys
-from sinsjax.study import sampling, search_space, success
-from sinsjax.study.attitude_file import refuse_drawn_motion
+from sinsjax.study import search_space, success
 from sinsjax.study.filter_noise import NOISE_RULES
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -32,15 +31,18 @@ from sinsjax.study.keys import (
     PASS_KEYS,
     SECTION_OF,
     SECTIONS,
+    SWEEPABLE,
     Key,
+    deciding_keys,
     has_effect,
     key_summary,
     leaf_info,
+    reading_methods,
 )
+from sinsjax.study.motion import check_turns, refuse_drawn_motion
 from sinsjax.study.study import Study
 from sinsjax.study.sweep import value_error
-from sinsjax.study.turns import check_turns
-from sinsjax.study.variants import Variants
+from sinsjax.study.values import Variants, drawn_values
 from sinsjax.value_types import ROUNDING, KeyInfo
 
 _MAX_SAMPLES, _MAX_RUNS = 10**8, 10**9
@@ -132,11 +134,11 @@ def _check_study_size(study: Study) -> None:
 def _check_intervals(study: Study) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
     record = study.study.record_interval_s
-    _check_multiple(study, "record_interval_s", record, "samples")
+    _check_whole_multiple(study, "record_interval_s", record, "samples")
     for key, least in (("feedback_interval_s", 1), ("coarse_duration_s", 2)):
         for point in study.combinations(key) if study.is_readable(key) else ():
             if point[key] is not None:
-                _check_multiple(study, key, point[key], "samples", least)
+                _check_whole_multiple(study, key, point[key], "samples", least)
     if study.study.duration_s < record * (1 - ROUNDING):
         duration = f"duration_s = {study.study.duration_s:.12g}"
         study.refuse("record_interval_s", f"{record:.12g} s is longer than a run, {duration}")
@@ -151,7 +153,7 @@ def _check_passes(study: Study) -> None:
             if (passes or 1) > 1:
                 study.refuse("passes", f"{passes} passes need a stored record (give stored_s)")
             continue
-        _check_multiple(study, "stored_s", record_s, "record intervals")
+        _check_whole_multiple(study, "stored_s", record_s, "record intervals")
         if record_s > duration:
             study.refuse("stored_s", f"{record_s:.12g} s is longer than a run ({study.end})")
         if passes and passes * record_s > duration:
@@ -188,7 +190,7 @@ def _check_coarse_times(study: Study) -> None:
         method, length_s, then = (point[key] for key in COARSE_KEYS)
         if not study.has_coarse_stage(method, then):
             continue
-        _check_multiple(study, "coarse_duration_s", length_s, "record intervals")
+        _check_whole_multiple(study, "coarse_duration_s", length_s, "record intervals")
         end_s = min(study.run_s - record_interval_s, point.get("stored_s") or math.inf)
         if length_s > end_s * (1 + ROUNDING):
             text = f"{length_s:.12g} s leaves no time for the method (at most {end_s:.12g})"
@@ -207,7 +209,7 @@ def _check_coarse_times(study: Study) -> None:
             study.refuse("reset_at_feedback", f"{text} (feedback_interval_s = {interval_s:.12g})")
 
 
-def _check_multiple(study: Study, key: str, time: float, what: str, least: int = 1) -> None:
+def _check_whole_multiple(study: Study, key: str, time: float, what: str, least: int = 1) -> None:
     """Refuse a time that is not a whole number of samples or record intervals, or too few of them.
 
     For a record, whose rate is given, the time is rounded to a whole number of samples.
@@ -244,7 +246,7 @@ def _check_report_times(study: Study) -> None:
     if study.counts_before:
         before = {study.samples_before(rate, **p) for p in study.combinations(*COARSE_KEYS)}
     for time in study.report_times_s:
-        _check_multiple(study, "report_times_s", time, "record intervals")
+        _check_whole_multiple(study, "report_times_s", time, "record intervals")
         if time > (min(before) / rate + study.run_s) * (1 + ROUNDING):
             study.refuse("report_times_s", f"{time:.12g} s is not within the run ({study.end})")
         for count in before:
@@ -350,7 +352,7 @@ def _check_drawn_values(study: Study) -> None:
 
         limits = law.limits
         if law.normal and any(map(problem_of, limits)):
-            drawn = sampling.drawn_values(study, min(study.n_draws, _CHECKED_DRAWS))[key]
+            drawn = drawn_values(study, min(study.n_draws, _CHECKED_DRAWS))[key]
             limits = float(drawn.min()), float(drawn.max())
         for value in limits:
             if problem := problem_of(value):
@@ -385,6 +387,47 @@ def _check_tune_section(study: Study) -> None:
     if "gradient" in tune.searches and not most and tune.variables:
         text = "'gradient' needs a variable with low and high (use 'grid')"
         raise InputError(f"[tune] searches: {text}")
+
+
+def list_idle_keys(study: Study) -> list[str]:
+    """List the keys that have no effect on any run of a study, in one line if there are any.
+
+    Keys at their defaults are left out, and those that a tuning may give an effect.
+    """
+    tuned = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
+    idle: dict[str, dict[str, list[str]]] = {}  # keys by table, by the reason
+    for key, table in _given_keys_with_tables(study):
+        deciding = deciding_keys(key)
+        if SECTION_OF[key] not in SWEEPABLE or not tuned.isdisjoint(deciding):
+            continue
+        if {*study.methods}.isdisjoint(reading_methods(key)):
+            reason = f"method {' or '.join(sorted(study.methods))}"
+        elif study.is_readable(key) and study.without_effect(key).all():
+            others = [other for other in deciding if other != "method"] or ["coarse_method"]
+            reason = f"the values of {', '.join(others)}"
+        else:
+            continue
+        idle.setdefault(reason, {}).setdefault(table, []).append(key)
+    parts = []
+    for reason, tables in idle.items():
+        verb = "has" if sum(map(len, tables.values())) == 1 else "have"
+        listed = ", ".join(f"{table} {', '.join(keys)}" for table, keys in tables.items())
+        parts.append(f"{listed} {verb} no effect with {reason}")
+    return [f"{'; '.join(parts)}."] if parts else []
+
+
+def _given_keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield the keys that a study varies or changes from their defaults, and their tables."""
+    for name in filter(study.has, SWEEPABLE):
+        section, fields = getattr(study, name), SECTIONS[name].model_fields
+        for key in (key for key in fields if key in section.model_fields_set):
+            if getattr(section, key) != fields[key].default:
+                yield key, f"[{name}]"
+    for key in (*study.axis_keys, *study.drawn_keys):
+        if key != "case":
+            yield key, str(study.given_in(key))
+    for name in ("variables", "baseline") if study.tune else ():
+        yield from ((key, f"[tune.{name}]") for key in getattr(study.tune, name))
 
 
 _PRESENCE = (

@@ -13,12 +13,10 @@ import numpy as np
 from pydantic import create_model
 
 from sinsjax.errors import InputError
-from sinsjax.messages import format_count
+from sinsjax.messages import format_count, format_facts
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS, scheduled_reset_times
 from sinsjax.methods.method import INITIAL_KEYS
 from sinsjax.methods.registry import SECTIONS_OF_METHODS
-from sinsjax.study import display
-from sinsjax.study.alignment import AlignmentSection, CoarseSection, PassesSection
 from sinsjax.study.changes import copy_tables
 from sinsjax.study.keys import (
     COARSE_KEYS,
@@ -32,16 +30,18 @@ from sinsjax.study.keys import (
 )
 from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, derive_schedule
 from sinsjax.study.schema import (
+    AlignmentSection,
+    CoarseSection,
     EarthSection,
     MotionSection,
+    PassesSection,
     RecordSection,
     SensorsSection,
     StopWhenSection,
     StudySection,
     TuneSection,
 )
-from sinsjax.study.sweep import Sweep
-from sinsjax.study.sweep_columns import CodedColumn, iter_points, point_codes
+from sinsjax.study.sweep import CodedColumn, Sweep, iter_points, point_codes
 from sinsjax.value_types import ROUNDING
 
 _USER_NAMES = (
@@ -148,7 +148,7 @@ class Study(_SectionsOfMethods):
 
     def __repr__(self) -> str:
         """Return five short lines: runs, axes, method and length."""
-        return display.format_text(f"Study {self.name}", self.facts)
+        return format_facts(f"Study {self.name}", self.facts)
 
     __str__ = __repr__
 

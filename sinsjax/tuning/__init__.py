@@ -1,7 +1,6 @@
 """Tuning of a study: search of its variables on some draws, evaluation of the best on others.
 
-`run_tuning` runs all that a study's [tune] specifies, into a directory. `search` scores points, of
-a grid or by Sobol; `gradient` descends. `law_point` is the reset schedule by the law, a point of
-every search. `objective` is the quantity to minimise, `history` stores the evaluations, and
-`results` reads a complete tuning run.
+It takes a study with [tune], and searches by a grid, Sobol points or gradient descents, always with
+the reset schedule by the law among the points. It gives a directory with the tuned study, which
+`results` reads: the best points, and their scores on draws that did not tune.
 """

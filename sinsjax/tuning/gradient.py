@@ -24,7 +24,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
 from sinsjax.execution.success import require_floor
-from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_without_gradient
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_key_without_gradient
 from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import smooth_resets
@@ -36,13 +36,11 @@ from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
-from sinsjax.study.sweep import COUNT, TIMES
-from sinsjax.study.sweep_columns import CodedColumn
-from sinsjax.study.variants import Variants
+from sinsjax.study.sweep import COUNT, TIMES, CodedColumn
+from sinsjax.study.values import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
-from sinsjax.tuning.law_point import law_point
-from sinsjax.tuning.search import GRADIENT
+from sinsjax.tuning.search import GRADIENT, law_point
 from sinsjax.types import Array, Count
 from sinsjax.units import DEG, micro_g
 
@@ -51,11 +49,7 @@ TANGENT_STEPS = 2
 
 
 def check_gradients(study: Study) -> None:
-    """Check that all variables of a study with [tune] have a gradient.
-
-    Raises:
-        InputError: ``[tune.variables] key: has no gradient (hint)``.
-    """
+    """Refuse a study with [tune] of which a variable has no gradient."""
     for combination in SearchSpace.from_study(study).combinations:
         TunedParams(study, combination)
 
@@ -105,7 +99,7 @@ def _descend_candidate(
         box = np.concatenate([laws, search.sobol_boxes(study, GRADIENT, number, screened)])
         if screened > starts:
             points = search.points_at(space, number, box)
-            scored = score_hard(study, stored, points, slope.draws)
+            scored = score_with_hard_resets(study, stored, points, slope.draws)
             box, cost = box[np.argsort(scored.scores, kind="stable")], cost + scored.costs[-1]
         box = box[:starts]
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
@@ -130,7 +124,7 @@ def _descend_candidate(
                 moves, state = adam.update(finite, state)
             box = np.asarray(optax.projections.projection_box(box + moves, 0.0, 1.0))
     points = search.points_at(space, number, np.concatenate([box, laws]))
-    scored = score_hard(study, stored, points)
+    scored = score_with_hard_resets(study, stored, points)
     ends = zip(points, scored.scores, strict=True)
     return evaluations + [
         Evaluation(
@@ -140,7 +134,7 @@ def _descend_candidate(
     ]
 
 
-def score_hard(
+def score_with_hard_resets(
     study: Study,
     stored: StoredRecord | None,
     points: Sequence[SearchPoint],
@@ -160,15 +154,10 @@ def score_hard(
 
 
 class Softness(NamedTuple):
-    """Degree of relaxation of a step.
+    """Degree of relaxation of a step."""
 
-    Attributes:
-        window_s: half width of the reset windows, s.
-        sharpness: sharpness of the band's edge, see `metrics.Criteria`.
-    """
-
-    window_s: float
-    sharpness: float
+    window_s: float  # half width of the reset windows, s
+    sharpness: float  # sharpness of the band's edge, see `metrics.Criteria`
 
     @classmethod
     def at_step(cls, tune: TuneSection, step: int) -> "Softness":
@@ -179,17 +168,12 @@ class Softness(NamedTuple):
 
 
 class _Lane(NamedTuple):
-    """What lanes have in place of the method's params until they are run.
+    """What lanes have in place of the method's params until they are run."""
 
-    Attributes:
-        params: leaves (lanes, ...).
-        slopes: derivatives of the leaves that depend on the variables, (lanes, p, ...), by number.
-        width: (lanes,) half width of the windows of resets, samples; None if none moves.
-    """
-
-    params: Any
+    params: Any  # leaves (lanes, ...)
+    # derivatives of the leaves that depend on the variables, (lanes, p, ...), by number
     slopes: dict[int, Array]
-    width: Array | None
+    width: Array | None  # (lanes,) half width of the windows of resets, samples; None if none moves
 
 
 class Slope:
@@ -209,11 +193,7 @@ class Slope:
         starts: int,
         draws: int,
     ) -> None:
-        """Prepare the runs of some descents, with at most so many draws per step.
-
-        Raises:
-            InputError: the record does not fit.
-        """
+        """Prepare the runs of some descents, with at most so many draws per step."""
         study = parameters.study
         self._tune = search.require_tune(study)
         derived = search.derive_study(study, {"base": parameters.point}, name=study.name)
@@ -271,7 +251,7 @@ class _Program:
 
     def run(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
-        arguments = self._arguments(box, draws, softness)
+        arguments = self._call_arguments(box, draws, softness)
         self._jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile
         calls = map_in_threads(
             lambda call: jax.device_get(self._jitted(*call)), arguments, len(jax.devices())
@@ -286,7 +266,7 @@ class _Program:
         shape = self._starts, -1, len(draws)
         return values.reshape(shape), slopes.reshape(*shape, self._p)
 
-    def _arguments(self, box: NDArray, draws: NDArray, softness: Softness) -> list[tuple]:
+    def _call_arguments(self, box: NDArray, draws: NDArray, softness: Softness) -> list[tuple]:
         """Return the arguments of every call."""
         batch, layout = self._batch.select_draws(draws), self._layout
         params, slopes = self._params(box)
@@ -324,13 +304,13 @@ class _Program:
             return objective.relaxed_values(self._tune, criteria, outcome, truth=self._from_truth)
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
-            return sensitivities(partial(tile_values, tile), jnp.zeros(self._p))
+            return value_and_derivatives(partial(tile_values, tile), jnp.zeros(self._p))
 
         values: tuple[Array, Array] = map_tiles(spec, differentiate_tile, tiles, blocks)
         return values
 
 
-def sensitivities(function: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
+def value_and_derivatives(function: Callable[[Array], Any], point: Array) -> tuple[Any, Any]:
     """Return value and derivatives of a function at a point, (p,), in one forward pass.
 
     The derivatives have a leading axis of p.
@@ -348,10 +328,6 @@ def sensitivities(function: Callable[[Array], Any], point: Array) -> tuple[Any, 
 
 class _TracedColumn(CodedColumn):
     """A column whose choices are traced numbers."""
-
-    def map(self, function: Callable[[Any], Any]) -> "_TracedColumn":
-        """Return the column of a function of the values."""
-        return _TracedColumn(self.codes, tuple(map(function, self.choices)))
 
     def expand(self, dtype: Any = float) -> Any:
         """Return the values as an array, (variants, ...)."""
@@ -388,11 +364,7 @@ class TunedParams:
     """
 
     def __init__(self, study: Study, combination: TomlTable) -> None:
-        """Check that all variables of a combination of candidates have a gradient.
-
-        Raises:
-            InputError: ``[tune.variables] key: has no gradient (hint)``.
-        """
+        """Refuse a combination of candidates of which a variable has no gradient."""
         self.study, space = study, SearchSpace.from_study(study)
         self.variables = [space.variables[i] for i in space.used_variables(combination)]
         self.point = space.make_point(space.to_values([0.5] * len(space.variables)), combination)
@@ -401,7 +373,7 @@ class TunedParams:
         self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
         based = with_point(study, self.point)
         self.moves_resets = any(variable.key in SCHEDULE_KEYS for variable in self.variables)
-        if key := find_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
+        if key := find_key_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
             _refuse(study, key)
         methods, moved = based.values("method"), np.zeros(len(self.variables), bool)
         for name in set(methods):
@@ -440,7 +412,7 @@ class TunedParams:
         at = partial(self.at, method, keys)
 
         def of_start(place: Array) -> tuple[Any, Any]:
-            value, slope = sensitivities(at, place)
+            value, slope = value_and_derivatives(at, place)
             return value, jax.tree.map(lambda a: jnp.moveaxis(a, 0, 1), slope)
 
         of_starts = jax.jit(jax.vmap(of_start))

@@ -14,7 +14,7 @@ import pyarrow as pa
 from sinsjax.columns import SCHEMA_VERSION, Column, arrow_schema
 from sinsjax.errors import InputError
 from sinsjax.execution import directory as places
-from sinsjax.execution import sealed
+from sinsjax.execution.directory import DamagedError, read_sealed_parquet, to_sealed_parquet
 from sinsjax.messages import escape_controls
 from sinsjax.platform.files import write_file
 from sinsjax.study.keys import TomlTable, key_meaning
@@ -30,15 +30,10 @@ _F, _I, _S = pa.float64(), pa.int64(), pa.string()
 
 
 class SearchPoint(NamedTuple):
-    """A point of a search space.
+    """A point of a search space."""
 
-    Attributes:
-        candidate: number of its combination of candidates.
-        values: one per variable, in the units of the file; NaN for unused variables.
-    """
-
-    candidate: int
-    values: Sequence[float]
+    candidate: int  # number of its combination of candidates
+    values: Sequence[float]  # one per variable, in the units of the file; NaN for unused variables
 
     def keys(self, space: SearchSpace) -> TomlTable:
         """Return its keys and values; the values of unused variables do not matter."""
@@ -48,39 +43,24 @@ class SearchPoint(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """A point evaluated by a search.
+    """A point evaluated by a search."""
 
-    Attributes:
-        step: number of the evaluation, or of the step of a descent, from 0.
-        candidate: number of the combination of candidates.
-        values: one per variable, in the units of the file; NaN for unused variables.
-        objective: over the tuning draws; relaxed where a sharpness is given.
-        cost: steps of the search so far, in steps of a plain run, tangents included.
-        start: number of the descent; None for other searches.
-        window_s: half width of the relaxed resets, s; None if none is relaxed.
-        sharpness: sharpness of the band's relaxed edge; None if the objective is not relaxed.
-    """
-
-    step: int
-    candidate: int
-    values: Sequence[float]
-    objective: float
-    cost: int
-    start: int | None = None
-    window_s: float | None = None
+    step: int  # number of the evaluation, or of the step of a descent, from 0
+    candidate: int  # number of the combination of candidates
+    values: Sequence[float]  # one per variable, in the units of the file; NaN for unused variables
+    objective: float  # over the tuning draws; relaxed where a sharpness is given
+    cost: int  # steps of the search so far, in steps of a plain run, tangents included
+    start: int | None = None  # number of the descent; None for other searches
+    window_s: float | None = None  # half width of the relaxed resets, s; None if none is relaxed
+    # sharpness of the band's relaxed edge; None if the objective is not relaxed
     sharpness: float | None = None
 
 
 class SearchResult(NamedTuple):
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        search: name of the search.
-        evaluations: all evaluations, in their order.
-    """
-
-    search: str
-    evaluations: Sequence[Evaluation]
+    search: str  # name of the search
+    evaluations: Sequence[Evaluation]  # all evaluations, in their order
 
     @property
     def best(self) -> Evaluation:
@@ -117,11 +97,7 @@ def history_columns(space: SearchSpace) -> tuple[Column, ...]:
 
 
 def write_history(directory: Path, study: Study, searches: Iterable[SearchResult]) -> None:
-    """Write the history of some searches atomically, sealed and with the study that they tune.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the history of some searches atomically, sealed and with the study that they tune."""
     space = SearchSpace.from_study(study)
     rows = [
         e._asdict() | {"search": result.search} | dict(zip(space.names, e.values, strict=True))
@@ -134,7 +110,7 @@ def write_history(directory: Path, study: Study, searches: Iterable[SearchResult
         for c in layout
     ]
     table = pa.Table.from_arrays(arrays, schema=arrow_schema(layout))
-    content = sealed.to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)})
+    content = to_sealed_parquet(table, {_STUDY_MARK: study_to_toml(study)})
     write_file(directory / FILE, content)
 
 
@@ -164,11 +140,7 @@ def read_history(directory: str | Path) -> pa.Table:
 
 
 def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
-    """Read the searches of a history, in their order.
-
-    Raises:
-        InputError: the history cannot be read.
-    """
+    """Read the searches of a history, in their order."""
     searches: dict[str, list[Evaluation]] = {}
     for row in read_history(directory).to_pylist():
         values = [np.nan if row[name] is None else row[name] for name in space.names]
@@ -181,21 +153,13 @@ def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
 
 
 def is_tuning(directory: Path) -> bool:
-    """Return whether a directory holds a tuning run, complete or not.
-
-    Raises:
-        InputError: one of its files or folders is a link or a pipe.
-    """
+    """Return whether a directory holds a tuning run, complete or not; links in it are refused."""
     places.check_directory(directory)
     return (directory / FILE).exists()
 
 
 def load_tuned_study(directory: Path) -> Study:
-    """Load the study with [tune] of a tuning run, from its history.
-
-    Raises:
-        InputError: the history or the study in it cannot be read.
-    """
+    """Load the study with [tune] of a tuning run, from its history."""
     text = (_read_sealed(directory).schema.metadata or {}).get(_STUDY_MARK.encode(), b"")
     return study_from_dict(tomllib.loads(text.decode()), str(directory / FILE))
 
@@ -203,8 +167,8 @@ def load_tuned_study(directory: Path) -> Study:
 def _read_sealed(directory: Path) -> pa.Table:
     path = directory / FILE
     try:
-        return sealed.read_sealed_parquet(path)
+        return read_sealed_parquet(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except sealed.DamagedError as error:
-        raise sealed.DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None
+    except DamagedError as error:
+        raise DamagedError(f"{error} (`sinsjax tune --resume` makes it again)") from None

@@ -12,19 +12,17 @@ from sinsjax.analysis import Estimate, format_estimate, share
 from sinsjax.analysis.estimates import bootstrap_interval
 from sinsjax.errors import InputError
 from sinsjax.execution.results import Results
-from sinsjax.study import display
+from sinsjax.messages import format_facts
 from sinsjax.study.changes import copy_tables
-from sinsjax.study.identity import fingerprint
 from sinsjax.study.keys import TomlTable
-from sinsjax.study.load import load_study
+from sinsjax.study.load import fingerprint, load_study
 from sinsjax.study.schema import TuneSection
 from sinsjax.study.search_space import SearchSpace, Variable
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_measures
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import EVALUATION, TUNED, Evaluation
-from sinsjax.tuning.law_point import LAW
-from sinsjax.tuning.search import GRADIENT, require_tune
+from sinsjax.tuning.search import GRADIENT, LAW, require_tune
 
 SEARCH_LABELS = {
     "grid": "grid",
@@ -125,7 +123,7 @@ class TuningResults:
             "score": f"{score}; baseline {baseline}",
             "stored": f"in {self.directory}",
         }
-        return display.format_text(f"Tuning of {self.search_study.name}", facts)
+        return format_facts(f"Tuning of {self.search_study.name}", facts)
 
     # --- for reports ----------------------------------------------------------------------------
 

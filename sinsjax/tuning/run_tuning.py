@@ -10,27 +10,24 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sinsjax import gone
+from sinsjax import messages
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
-from sinsjax.execution.directory import STUDY
+from sinsjax.execution.directory import STUDY, DamagedError
 from sinsjax.execution.prepare import finish_job, issue_warnings, load_job
 from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
-from sinsjax.execution.sealed import DamagedError
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import unwritable_message, write_file
 from sinsjax.records.reference import StoredRecord
-from sinsjax.study.identity import describe_differences, fingerprint
-from sinsjax.study.load import study_to_toml, with_point
+from sinsjax.study.load import describe_differences, fingerprint, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace, comparable_points
 from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import EVALUATION, TUNED, SearchResult
-from sinsjax.tuning.law_point import LAW, law_point
 from sinsjax.tuning.results import TuningResults
-from sinsjax.tuning.search import SearchSession, ShowProgress, require_tune
+from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, law_point, require_tune
 
 
 def tune(
@@ -87,11 +84,7 @@ def prepare_tuning(
     reference: Path | str | None = None,
     **options: Any,
 ) -> Job:
-    """Check a tuning run and forecast what it takes, see `prepare.prepare_job`.
-
-    Raises:
-        InputError: as `tune`.
-    """
+    """Check a tuning run and forecast its cost, see `prepare.prepare_job`; errors as `tune`."""
     job = load_job(study, overrides, record, reference, **options)
     require_tune(job.study)
     if job.directory is not None:
@@ -107,16 +100,9 @@ def prepare_tuning(
 
 
 def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | None = None) -> None:
-    """Run the searches of a prepared tuning run, evaluate them, and write the tuned study.
+    """Run the searches of a job of `prepare_tuning`, evaluate them, and write the tuned study.
 
-    Args:
-        job: from `prepare_tuning`.
-        show_progress: gives the progress callback for the name of a search.
-        stop: event that ends the tuning run; complete stages are kept.
-
-    Raises:
-        InputError: the directory cannot be written, or another process has written there.
-        StudyInterrupted: ``stop`` was set.
+    ``stop`` ends it with `StudyInterrupted`; complete stages are kept.
     """
     session = SearchSession(job, show_progress, stop or threading.Event())
     study, directory = job.study, session.directory
@@ -147,11 +133,7 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
 
 
 def _check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
-    """Reject a directory with foreign files, or a tuning run that may be neither used nor replaced.
-
-    Raises:
-        InputError: the directory cannot be used.
-    """
+    """Reject a directory with foreign files, or with a tuning run that may not be used."""
     if not history.is_tuning(directory):
         for name in (STUDY, TUNED, "figures", *search.DESIGNS, EVALUATION):
             if (directory / name).exists():
@@ -165,11 +147,7 @@ def _check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
 
 
 def _read_complete_searches(job: Job) -> list[SearchResult]:
-    """Return the searches that a job continues; none of a damaged history.
-
-    Raises:
-        InputError: they are of another study, or one of them is gone.
-    """
+    """Return the searches that a job continues, none if damaged; refuse those of another study."""
     directory, tune = job.directory, require_tune(job.study)
     if directory is None or not job.resume or not history.is_tuning(directory):
         return []
@@ -187,7 +165,7 @@ def _read_complete_searches(job: Job) -> list[SearchResult]:
     for result in known:
         if result.search not in tune.searches:
             raise InputError(
-                f"{directory}: has the search '{result.search}', which {gone.MARK}"
+                f"{directory}: has the search '{result.search}', which {messages.GONE_MARK}"
                 " (`sinsjax report` reads it; --overwrite repeats the tuning without)"
             )
     return known

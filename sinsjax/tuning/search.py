@@ -1,8 +1,9 @@
 """Searches that score points of the search space: a grid and Sobol points.
 
 The points are the cases of a study whose draws are the tuning draws. If reset times are tuned, the
-first point is the reset schedule by the law (`law_point`). A grid and Sobol points are swept into
-an ordinary results directory.
+first point is the reset schedule by the law (`law_point`), which gets what the tuning is for: the
+largest initial heading error of the study, and the band of the objective. A grid and Sobol points
+are swept into an ordinary results directory.
 """
 
 import threading
@@ -21,16 +22,21 @@ from sinsjax.execution import results
 from sinsjax.execution.prepare import make_subjob
 from sinsjax.execution.run import ProgressCallback, run_job
 from sinsjax.execution.tasks import Job
-from sinsjax.study import sampling, search_space
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS
+from sinsjax.methods.reset_law import NoSchedule, schedule_with
+from sinsjax.study import search_space
 from sinsjax.study.keys import TomlTable
 from sinsjax.study.load import study_from_dict, with_point
+from sinsjax.study.reset_plan import iter_filters
+from sinsjax.study.reset_schedules import reset_problem
 from sinsjax.study.schema import TuneSection
-from sinsjax.study.search_space import SearchSpace
+from sinsjax.study.search_space import SearchSpace, effective_values
 from sinsjax.study.study import Study, study_to_tables
-from sinsjax.study.sweep import Sweep
+from sinsjax.study.sweep import COUNT, TIMES, Sweep
+from sinsjax.study.values import truncate_drawn_table
 from sinsjax.tuning import objective
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
-from sinsjax.tuning.law_point import law_point
+from sinsjax.units import ARCMIN, DEG
 
 ShowProgress = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 """(name of a search) -> context with its progress callback, if any."""
@@ -38,32 +44,25 @@ ShowProgress = Callable[[str], AbstractContextManager[ProgressCallback | None]]
 DESIGNS, GRADIENT = ("grid", "sobol"), "gradient"
 """Names of the searches."""
 
+LAW = "law"
+"""Name of the reset schedule by the law among the evaluated points."""
+
 _SEEDS = 2**63
 
 
 def require_tune(study: Study) -> TuneSection:
-    """Return the [tune] section of a study.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the [tune] section of a study; an `InputError` if there is none."""
     if study.tune is None:
         raise InputError(f"{study.name}: has no [tune] section")
     return study.tune
 
 
 class SearchSession(NamedTuple):
-    """Settings for running the searches of a tuning run.
+    """Settings for running the searches of a tuning run."""
 
-    Attributes:
-        job: prepared job of the tuning run.
-        show_progress: gives the progress callback for the name of a search.
-        stop: event that ends the tuning run.
-    """
-
-    job: Job
-    show_progress: ShowProgress
-    stop: threading.Event
+    job: Job  # prepared job of the tuning run
+    show_progress: ShowProgress  # gives the progress callback for the name of a search
+    stop: threading.Event  # event that ends the tuning run
 
     @property
     def directory(self) -> Path:
@@ -122,12 +121,7 @@ def design_points(study: Study, name: str) -> list[SearchPoint]:
 
 
 def search_points(study: Study, name: str, session: SearchSession) -> SearchResult:
-    """Evaluate the points of a search on the tuning draws, in a directory with its name.
-
-    Raises:
-        InputError: the directory cannot be used, or the record does not fit.
-        StudyInterrupted: the session was stopped.
-    """
+    """Evaluate the points of a search on the tuning draws, in a directory with its name."""
     columns = objective.summary_columns(require_tune(study), study)
     points = design_points(study, name)
     scored = score_points(
@@ -154,13 +148,9 @@ def score_points(
     points: Sequence[SearchPoint],
     run_cases: Callable[[Study], pa.Table],
 ) -> PointScores:
-    """Score some points; each distinct one is a case of a study.
+    """Score the points of a search; each distinct one is a case of a study.
 
-    Args:
-        study: study with [tune].
-        name: name of the search.
-        points: the points.
-        run_cases: runs a study; gives its summary, with `objective.summary_columns`.
+    ``run_cases`` runs a study and gives its summary, with `objective.summary_columns`.
     """
     space = SearchSpace.from_study(study)
     keys = [point.keys(space) for point in points]
@@ -203,14 +193,9 @@ def derive_study(
 ) -> Study:
     """Return the study of some points on the tuning draws, or on those for evaluation.
 
-    It has no [tune]; the points are its outermost dimension, and its own axes are swept at each.
-    Draws for evaluation are those of another seed, or the other start times of a record.
-
-    Args:
-        study: study with [tune].
-        points: points with the same keys, by the label of their case.
-        name: name of the new study.
-        evaluation: whether to use the evaluation draws.
+    It has another name and no [tune]; the points, by the label of their case, have the same keys
+    and are its outermost dimension, and its own axes are swept at each. Draws for evaluation are
+    those of another seed, or the other start times of a record.
     """
     tune, keys = require_tune(study), next(iter(points.values()))
     tables = search_space.remove_keys(study_to_tables(study), list(keys))
@@ -224,7 +209,7 @@ def derive_study(
         tables["study"] |= {"seed": seed, "draws": draws}
     if study.drawn:
         count = len(tables["record"]["start_s"]) if study.record else tables["study"]["draws"]
-        tables["drawn"] = sampling.truncate_drawn_table(study.drawn, count)
+        tables["drawn"] = truncate_drawn_table(study.drawn, count)
     cases = Sweep(cases=study.cases).dimensions[0] if study.cases else {}
     if axis := {key: values for key, values in cases.items() if key != "case"}:
         zipped = "cases"  # without their labels, which are now those of the points
@@ -233,3 +218,86 @@ def derive_study(
         tables["axes"] = tables.get("axes", {}) | {zipped: axis}
     tables["cases"] = [{"case": label} | point for label, point in points.items()]
     return study_from_dict(tables, name)
+
+
+# The reset schedule by the law
+
+_FIRST, _CYCLE, _HEADING = "reset_first_s", "reset_cycle_s", "phi_u0_deg"
+
+
+def law_point(study: Study, number: int = 0) -> NDArray | None:
+    """Return the reset schedule by the law as positions of the variables, 0 to 1, clipped; (p,).
+
+    They are those that a combination of candidates uses. It has as many resets as the combination
+    has times, or as are counted. If filters or places differ, it is the schedule of the slowest.
+    None if no variable is one of a schedule, or the law has none.
+    """
+    assert study.tune is not None
+    space = SearchSpace.from_study(study)
+    combination = space.combinations[number]
+    used = space.used_variables(combination)
+    keys = {space.variables[i].key for i in used}
+    if keys.isdisjoint(SCHEDULE_KEYS):
+        return None
+    baseline = with_point(study, study.tune.baseline)
+    values = space.to_values([0.5] * len(space.variables))
+    _set_values(space, values, effective_values(baseline, keys.difference(SCHEDULE_KEYS)))
+    try:
+        point = with_point(study, space.make_point(values, combination))
+        _set_values(space, values, _schedule_by_law(study, point, combination))
+    except (InputError, NoSchedule):
+        return None
+    return np.array(space.to_box(values))[used]
+
+
+def _set_values(space: SearchSpace, values: list[float], by_key: TomlTable) -> None:
+    """Set the values of the variables of some keys, clipped to their ranges."""
+    for number, variable in enumerate(space.variables):
+        if variable.key in by_key:
+            entries = np.atleast_1d(by_key[variable.key])
+            if (entry := variable.entry or 0) < len(entries):
+                values[number] = float(np.clip(entries[entry], variable.low, variable.high))
+
+
+def _schedule_by_law(study: Study, point: Study, combination: TomlTable) -> TomlTable:
+    """Return the values of the keys of schedules by the law, from a point with any schedule.
+
+    Raises:
+        InputError: no method has the law, or a key that it needs is drawn or missing.
+        NoSchedule: the law has no schedule, or a key of it is swept.
+    """
+    assert study.tune is not None
+    keys, band = study.tune.variables, study.tune.objective_band_arcmin * ARCMIN
+    times = keys.get(TIMES)
+    if isinstance(times, tuple):
+        resets = min(len(times), combination.get(COUNT, len(times)))
+    else:
+        resets = _only_value(point, COUNT) or 0
+    if not resets:
+        raise NoSchedule("no reset is counted")
+    bound_deg = _largest_heading_deg(study)
+    bounds = {} if bound_deg is None else {"heading_bound_deg": bound_deg}
+    schedules = [
+        schedule_with(reset_problem(study.rate_hz, v), v["heading_bound_deg"] * DEG, band, resets)
+        for _, v in iter_filters(point, **bounds)
+    ]
+    times_s = max(schedules, key=lambda found: found.settling_s).times_s
+    if resets > 1 and (_FIRST in keys or _only_value(point, _FIRST) is not None):
+        cycle_s = (times_s[-1] - times_s[0]) / (resets - 1)
+    else:  # the first reset is after a cycle
+        cycle_s = times_s[-1] / resets
+    return {TIMES: times_s, _FIRST: times_s[0], _CYCLE: cycle_s}
+
+
+def _largest_heading_deg(study: Study) -> float | None:
+    """Return the largest initial heading error of a study, deg; None if it is not known."""
+    if study.is_recorded or study.coarse_stages or _HEADING in study.drawn_keys:
+        return None
+    return max(abs(point[_HEADING]) for point in study.combinations(_HEADING))
+
+
+def _only_value(study: Study, key: str) -> Any:
+    first, *rest = study.combinations(key)
+    if rest:
+        raise NoSchedule(f"{key} is swept")
+    return first[key]

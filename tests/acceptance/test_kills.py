@@ -21,9 +21,9 @@ from support.sweep_directories import (
     read_parts,
 )
 
+from sinsjax.execution.directory import is_intact
 from sinsjax.execution.results import read_curves, read_summary
-from sinsjax.execution.sealed import is_intact
-from sinsjax.platform import compile_cache
+from sinsjax.platform import runtime
 from sinsjax.study.load import study_to_toml
 
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
@@ -75,7 +75,7 @@ class Sweeps:
         """Return a sweeping process that is killed at a point."""
         words = ["sweep", self.study, "-o", self.out, how, "--chunk-runs", CHUNK_RUNS, *options]
         paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
-        environment = {compile_cache.VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
+        environment = {runtime.CACHE_VARIABLE: str(self._folder / "cache"), "PYTHONPATH": paths}
         process = subprocess.Popen(
             [sys.executable, "-m", "support.killed_commands", *map(str, (*point, pause_s, *words))],
             env=os.environ | environment,

@@ -14,7 +14,7 @@ import pytest
 
 import sinsjax
 from sinsjax.methods.method import Options
-from sinsjax.methods.plugins import check_plugin
+from sinsjax.methods.registry import check_plugin
 
 EXAMPLE = Path(__file__).parents[1] / "example_method"
 DOCS = EXAMPLE.parents[1] / "docs"

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from support.studies import small_study
 
-from sinsjax.engine import duplicates
+from sinsjax.engine import batch
 from sinsjax.execution.results import Results
 from sinsjax.execution.run import run
 from sinsjax.execution.tasks import Job, TaskRunner
@@ -33,7 +33,7 @@ def test_deduplicated_rows_equal_rows_of_all_variants_computed(
         return [task.runs for task in tasks], run(study, curves=curves, chunk_runs=128)
 
     counts, together = compute()
-    monkeypatch.setattr(duplicates, "LEAST_SAVED", 1.0)
+    monkeypatch.setattr(batch, "LEAST_SAVED", 1.0)
     all_counts, singly = compute()
     assert together.summary.equals(singly.summary) and together.curves.equals(singly.curves)
     runs = study.n_draws * study.n_variants

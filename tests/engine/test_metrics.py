@@ -33,7 +33,7 @@ def outcome(criteria, values, sigma, p, floor):
         now = Observation(Vec3(*value[:3]), Vec3(*s), *value[3:])
         return metrics.accumulate(so_far, criteria, now, floor=floor, time=time), None
 
-    start = metrics.start(criteria, np.float64(0.0))
+    start = metrics.initial_metrics(criteria, np.float64(0.0))
     so_far, _ = jax.lax.scan(record, start, (TIMES, values, sigma))
     limit = BiasFloor(Vec3(0.0, 0.0, floor), jnp.asarray(0.0), jnp.asarray(False))
     return metrics.finish(so_far, covariance, limit)

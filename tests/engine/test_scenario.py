@@ -11,9 +11,9 @@ import sinsjax
 from sinsjax.errors import InputError
 from sinsjax.records import Record, Reference
 from sinsjax.records.reference import StoredRecord, reference_attitudes
-from sinsjax.study import sampling
 from sinsjax.study.keys import SECTION_OF
 from sinsjax.study.load import study_from_dict
+from sinsjax.study.values import drawn_values
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -95,7 +95,7 @@ def test_run_with_drawn_values_equals_run_with_fixed_values(
     """And so do the records of its sensors."""
     data = drawn_tables(*keys, **changes)
     study = study_from_dict(data)
-    drawn = sampling.drawn_values(study, DRAWS)
+    drawn = drawn_values(study, DRAWS)
     runs = sinsjax.run(study).summary.to_pylist()
     for draw in (0, DRAWS - 1):
         values = {key: drawn[key][draw].tolist() for key in keys}

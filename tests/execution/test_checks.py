@@ -15,7 +15,7 @@ from support.studies import small_study, with_paper_values
 from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import prepare, run
-from sinsjax.execution.checks import band_warnings
+from sinsjax.execution.prepare import band_warnings
 from sinsjax.records import Record, Reference
 from sinsjax.records.checks import StationaryValues, check_stationary
 from sinsjax.records.layout import Finding

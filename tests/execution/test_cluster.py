@@ -22,7 +22,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import cluster, run
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import read_summary
-from sinsjax.platform import compile_cache, runtime, xla
+from sinsjax.platform import machine, runtime
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study
 
@@ -45,7 +45,7 @@ Start = Callable[..., subprocess.Popen]
 def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Every worker is a new process: they share what is compiled, or would need minutes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(compile_cache.VARIABLE, str(tmp_path_factory.mktemp("compiled")))
+        patch.setenv(runtime.CACHE_VARIABLE, str(tmp_path_factory.mktemp("compiled")))
         yield
 
 
@@ -136,7 +136,7 @@ def test_lost_and_late_workers_give_same_bytes_as_local_run(
     assert re.fullmatch(r"Warning: tcp://\S+: lost this worker, .*\n", capsys.readouterr().err)
     manifest = read_manifest(tmp_path / "out")
     assert (manifest["workers"], manifest["scheduler"]) == (2, scheduler)
-    assert manifest["instructions"] == xla.instruction_set()
+    assert manifest["instructions"] == machine.instruction_set()
 
 
 def test_lost_scheduler_is_reported_and_results_are_kept(

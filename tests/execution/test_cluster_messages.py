@@ -14,7 +14,7 @@ from support.studies import small_study
 from sinsjax.errors import InputError
 from sinsjax.execution import cluster
 from sinsjax.execution.tasks import Job, Task, TaskResult, TaskRunner
-from sinsjax.platform import runtime, xla
+from sinsjax.platform import machine, runtime
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -74,7 +74,7 @@ def test_workers_prepare_a_job_once_and_keep_no_finished_task(
 
     with cluster.executor(scheduler=scheduler) as executor:
         facts = {"workers": 2, "threads": 2, "scheduler": scheduler}
-        assert executor.facts == facts | {"instructions": xla.instruction_set()}
+        assert executor.facts == facts | {"instructions": machine.instruction_set()}
         for result in executor.run_tasks(runner, offered()):
             found[result.task] = result
             assert len(taken) < len(found) + 2 * cluster.TASKS_PER_THREAD

@@ -15,8 +15,13 @@ from support.sweep_directories import read_files_and_times
 import sinsjax
 from sinsjax import plots
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
-from sinsjax.execution.directory import remove_other_figures
+from sinsjax.execution.directory import (
+    SEAL_KEY,
+    is_intact,
+    remove_other_figures,
+    to_sealed_json,
+    to_sealed_parquet,
+)
 from sinsjax.execution.results import Results
 from sinsjax.study.load import study_to_toml
 
@@ -95,20 +100,20 @@ def test_edited_study_of_results_is_named(results: Path, tmp_path: Path) -> None
 
 
 CONTENTS = {
-    "parquet": sealed.to_sealed_parquet(pa.table({"run_id": [1, 2]}), {"sinsjax.study": "0123"}),
-    "json": sealed.to_sealed_json({"state": "complete", "warnings": [f'{sealed.SEAL_KEY}": "1']}),
+    "parquet": to_sealed_parquet(pa.table({"run_id": [1, 2]}), {"sinsjax.study": "0123"}),
+    "json": to_sealed_json({"state": "complete", "warnings": [f'{SEAL_KEY}": "1']}),
 }
 
 
 @pytest.mark.parametrize("kind", CONTENTS)
 def test_any_flipped_bit_is_noticed(kind: str) -> None:
     content = CONTENTS[kind]
-    assert sealed.is_intact(content)
+    assert is_intact(content)
     for place in range(len(content)):
         flipped = bytearray(content)
         flipped[place] ^= 1 << place % 8
-        assert not sealed.is_intact(bytes(flipped)), place
-        assert not sealed.is_intact(content[:place])
+        assert not is_intact(bytes(flipped)), place
+        assert not is_intact(content[:place])
 
 
 def test_any_flipped_bit_of_results_is_named(results: Path, tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from support.sweep_directories import STUDIES, make_study
 
 from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError
-from sinsjax.execution import rerun
 from sinsjax.execution import run as study_run
 from sinsjax.execution.results import read_summary
+from sinsjax.execution.run import repeat_run, rerun_stored_run
 from sinsjax.execution.tables import replace_column
 from sinsjax.execution.tasks import Job
 from sinsjax.records import PSINS_LAYOUT, read_psins
@@ -36,7 +36,7 @@ def assert_alone_as_among_others(
 ) -> None:
     whole = study_run.run(study, stored)
     for run_id in runs:
-        again = rerun.repeat_run(study, run_id, stored)
+        again = repeat_run(study, run_id, stored)
         row, curve = again["summary"], again["curves"]
         assert row.num_rows == 1
         for table, one in ((whole.summary, row), (whole.curves, curve)):
@@ -110,7 +110,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def repeat(directory: Path, run_id: int, **options: Any) -> bool:
-    return rerun.rerun_stored_run(directory, run_id, Console(quiet=True), **options)
+    return rerun_stored_run(directory, run_id, Console(quiet=True), **options)
 
 
 def test_rerun_command_exits_1_when_the_row_differs(

@@ -20,7 +20,7 @@ from sinsjax.execution import run, tasks
 from sinsjax.execution.directory import read_manifest
 from sinsjax.execution.results import read_summary
 from sinsjax.methods import registry as methods
-from sinsjax.platform import runtime, xla
+from sinsjax.platform import machine, runtime
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -89,7 +89,7 @@ def test_resume_with_other_version_or_instruction_set_is_refused(
     assert read_files_and_times(out) == before
     rewrite_manifest(out, instructions=None)  # as of an older version
     run.run_into(study, out, resume=True)
-    assert read_manifest(out)["instructions"] == xla.instruction_set()
+    assert read_manifest(out)["instructions"] == machine.instruction_set()
 
 
 RULE = {"statistic": "success_rate", "half_width": 0.9}

@@ -17,9 +17,14 @@ from sinsjax.analysis import mean, share
 from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution import run as study_run
-from sinsjax.execution import stopping
 from sinsjax.execution.results import read_summary
-from sinsjax.execution.tasks import Executor, TaskRunner
+from sinsjax.execution.tasks import (
+    Executor,
+    TaskRunner,
+    interim_columns,
+    interim_draws,
+    widest_half_width,
+)
 from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
@@ -40,8 +45,8 @@ def make_study(
 def test_interim_analyses_double_draws_up_to_cap(cap: int) -> None:
     doubled = [64 * 2**i for i in range(20)]
     expected = [n for n in doubled if n < cap] + [cap]
-    assert stopping.interim_draws(make_study(draws=cap)) == expected
-    assert stopping.interim_draws(small_study(study={"draws": cap})) == [cap]
+    assert interim_draws(make_study(draws=cap)) == expected
+    assert interim_draws(small_study(study={"draws": cap})) == [cap]
 
 
 @given(
@@ -79,8 +84,8 @@ def test_interim_analysis_matches_naive_count(
         ("settle_10_s_mean", means, 400 * wanted),
     ):
         study = make_study(statistic, half_width, axes=axes, study={"judged_from": judged})
-        rows = table.select(stopping.required_columns(study))
-        found = stopping.widest_half_width(study, rows, draws)
+        rows = table.select(interim_columns(study))
+        found = widest_half_width(study, rows, draws)
         halves = [(width.high - width.low) / 2 for width in widths]
         assert found == pytest.approx(max(math.inf if math.isnan(h) else h for h in halves))
 
@@ -108,8 +113,8 @@ def test_sweep_stops_at_same_draw_despite_chunk_order_or_interruption(
     whole = study_run.run(study, chunk_runs=128)
     assert whole.summary.num_rows == 2 * draws
     assert study_run.run(study).summary.equals(whole.summary)
-    before = [n for n in stopping.interim_draws(study) if n < draws]
-    assert all(stopping.widest_half_width(study, whole.summary, n) > half_width for n in before)
+    before = [n for n in interim_draws(study) if n < draws]
+    assert all(widest_half_width(study, whole.summary, n) > half_width for n in before)
     backwards = Executor(lambda shop, tasks: map_in_threads(shop.compute, list(tasks)[::-1], 2), {})
     study_run.run_into(study, tmp_path / "back", chunk_runs=128, executor=backwards)
     stop, interrupted = threading.Event(), 0

@@ -29,9 +29,9 @@ from sinsjax import plots
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import run as study_run
 from sinsjax.execution import store
+from sinsjax.execution.directory import to_sealed_parquet
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.execution.results import read_summary
-from sinsjax.execution.sealed import to_sealed_parquet
 from sinsjax.platform import files, runtime
 from sinsjax.study.study import Study
 

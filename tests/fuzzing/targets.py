@@ -17,8 +17,7 @@ from sinsjax.execution import forecast, prepare
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.messages import CONTROL
 from sinsjax.study.from_record import make_study_text
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import load_study, study_from_dict, study_to_toml
+from sinsjax.study.load import fingerprint, load_study, study_from_dict, study_to_toml
 from sinsjax.study.study import Study
 
 _LONGEST_LINE = 2000

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sinsjax.engine.truth import align_by_program
+from sinsjax.engine.inputs import align_by_program
 from sinsjax.maths import rotations
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS

@@ -11,8 +11,7 @@ from support.synthetic_tables import synthetic_summary
 
 import sinsjax
 from sinsjax.execution.results import Results
-from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
-from sinsjax.methods.gravity_fit.noise import SensorNoise
+from sinsjax.methods.gravity_least_squares import Block, FitParams, SensorNoise, solve
 from sinsjax.report.monte_carlo import build_verdict
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3

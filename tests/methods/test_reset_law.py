@@ -12,8 +12,7 @@ from support.studies import refusal_line, small_study
 
 from sinsjax import run
 from sinsjax.methods import reset_law
-from sinsjax.methods.reset_law import ResetProblem
-from sinsjax.methods.reset_prediction import predict_settling_time
+from sinsjax.methods.reset_law import ResetProblem, predict_settling_time
 from sinsjax.units import ARCMIN, DEG, DEG_PER_H
 
 pytestmark = pytest.mark.optimised(False)

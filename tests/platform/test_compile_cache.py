@@ -12,7 +12,7 @@ import pytest
 from support.commands import run_python
 
 from sinsjax.errors import InputError
-from sinsjax.platform import compile_cache, machine
+from sinsjax.platform import machine, runtime
 
 KEYS = (
     "jax_compilation_cache_dir",
@@ -28,8 +28,8 @@ def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pytest
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setattr(machine, "user_cache_folder", lambda: tmp_path / "sinsjax")
     here = {importlib.metadata.version("jaxlib")}
-    monkeypatch.setattr(compile_cache, "SAFE_JAXLIB", here)
-    for variable in (compile_cache.VARIABLE, compile_cache._SIZE):
+    monkeypatch.setattr(runtime, "CACHE_SAFE_JAXLIB", here)
+    for variable in (runtime.CACHE_VARIABLE, runtime._CACHE_SIZE):
         monkeypatch.delenv(variable, raising=False)
     yield monkeypatch
     for key, value in before.items():
@@ -39,37 +39,37 @@ def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pytest
 def test_cache_is_on_by_default_with_tested_jaxlib_or_on_request(
     settings: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    settings.setenv(compile_cache.VARIABLE, "0")
-    assert compile_cache.enable_cache() is None and not list(tmp_path.iterdir())
-    assert compile_cache.reason_off() == "SINSJAX_COMPILE_CACHE=0"
-    settings.setenv(compile_cache.VARIABLE, " ")
-    here = compile_cache.enable_cache()
+    settings.setenv(runtime.CACHE_VARIABLE, "0")
+    assert runtime.enable_cache() is None and not list(tmp_path.iterdir())
+    assert runtime.reason_cache_is_off() == "SINSJAX_COMPILE_CACHE=0"
+    settings.setenv(runtime.CACHE_VARIABLE, " ")
+    here = runtime.enable_cache()
     assert here is not None and here.parent == tmp_path / "sinsjax" / "compiled"
-    assert jax.config.values["jax_compilation_cache_max_size"] == compile_cache.MAX_BYTES
+    assert jax.config.values["jax_compilation_cache_max_size"] == runtime.MAX_CACHE_BYTES
     jax.config.update("jax_compilation_cache_dir", None)
-    settings.setattr(compile_cache, "SAFE_JAXLIB", frozenset())
-    assert compile_cache.enable_cache() is None
-    assert compile_cache.reason_off().startswith("not tested with jaxlib")
-    settings.setenv(compile_cache.VARIABLE, "1")
-    assert compile_cache.enable_cache() == here
+    settings.setattr(runtime, "CACHE_SAFE_JAXLIB", frozenset())
+    assert runtime.enable_cache() is None
+    assert runtime.reason_cache_is_off().startswith("not tested with jaxlib")
+    settings.setenv(runtime.CACHE_VARIABLE, "1")
+    assert runtime.enable_cache() == here
 
 
 def test_cache_has_a_folder_per_jaxlib_and_cpu(settings: pytest.MonkeyPatch) -> None:
-    settings.setenv(compile_cache.VARIABLE, "1")
-    folders = [compile_cache.enable_cache()]
+    settings.setenv(runtime.CACHE_VARIABLE, "1")
+    folders = [runtime.enable_cache()]
     for flags in ("avx2", "avx512f"):
         cpu = {"model name": "another", "flags": flags}
         settings.setattr(machine, "cpu_info", lambda cpu=cpu: cpu)
-        folders.append(compile_cache.enable_cache())
-    settings.setattr(compile_cache.importlib.metadata, "version", lambda _: "99.0")
-    folders.append(compile_cache.enable_cache())
+        folders.append(runtime.enable_cache())
+    settings.setattr(runtime.importlib.metadata, "version", lambda _: "99.0")
+    folders.append(runtime.enable_cache())
     assert len({*folders}) == 4 and len({folder.parent for folder in folders if folder}) == 1
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no such modes")
 @pytest.mark.parametrize("mode", [0o755, 0o775, 0o777])
 def test_folder_is_private_or_not_used(settings: pytest.MonkeyPatch, mode: int) -> None:
-    folder = compile_cache.enable_cache()
+    folder = runtime.enable_cache()
     assert folder is not None and stat.S_IMODE(folder.stat().st_mode) == 0o700
     reason, is_ours = "other users can write there, and cached programs are executed", True
     if mode == 0o755:
@@ -78,30 +78,30 @@ def test_folder_is_private_or_not_used(settings: pytest.MonkeyPatch, mode: int) 
     folder.chmod(mode)
     settings.setattr(os, "geteuid", lambda: folder.stat().st_uid + (not is_ours))
     jax.config.update("jax_compilation_cache_dir", None)
-    assert compile_cache.enable_cache() is None and compile_cache.reason_off().endswith(reason)
-    settings.setenv(compile_cache.VARIABLE, "1")
+    assert runtime.enable_cache() is None and runtime.reason_cache_is_off().endswith(reason)
+    settings.setenv(runtime.CACHE_VARIABLE, "1")
     with pytest.raises(InputError, match=f"^SINSJAX_COMPILE_CACHE: .*: {reason}$"):
-        compile_cache.enable_cache()
+        runtime.enable_cache()
     assert jax.config.values["jax_compilation_cache_dir"] is None
 
 
 def test_entries_of_interrupted_writes_alone_are_removed_at_start(
     settings: pytest.MonkeyPatch,
 ) -> None:
-    here = compile_cache.enable_cache()
+    here = runtime.enable_cache()
     assert here is not None
     complete = [here / "jit_a-0-cache", here / "jit_a-0-atime", here / "notes.txt"]
     for path in (*complete, here / "jit_b-1-cache"):
         path.write_bytes(b"x")
-    settings.setenv(compile_cache.VARIABLE, "1")
-    assert compile_cache.enable_cache() == here
+    settings.setenv(runtime.CACHE_VARIABLE, "1")
+    assert runtime.enable_cache() == here
     assert sorted(here.iterdir()) == sorted(complete)
 
 
 SCRIPT = """
 import jax, jax.numpy as jnp, sinsjax
 from sinsjax.platform import compile_cache
-compile_cache._MIN_COMPILE_S = 0
+runtime._MIN_COMPILE_S = 0
 sinsjax.configure(devices=1)
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name))
@@ -112,7 +112,7 @@ print(float(x).hex(), "/jax/compilation_cache/cache_hits" in hits)
 
 def run_process(folder: Path) -> tuple[str, bool, str]:
     """Return the bits of its result, whether it found the program, and its standard error."""
-    done = run_python(SCRIPT, **{compile_cache.VARIABLE: str(folder)})
+    done = run_python(SCRIPT, **{runtime.CACHE_VARIABLE: str(folder)})
     bits, is_found = done.stdout.split()
     return bits, is_found == "True", done.stderr
 

@@ -12,7 +12,7 @@ from support.studies import small_study
 
 import sinsjax
 from sinsjax.errors import InputError
-from sinsjax.platform import machine, runtime, xla
+from sinsjax.platform import machine, runtime
 from sinsjax.study.study import Study
 
 
@@ -24,7 +24,7 @@ def test_configure_after_jax_start_warns_of_other_device_count(
     runtime.configure()
     assert not recwarn.list
     line = r"with 2 CPU device\(s\) instead of 3: .*\.configure\(devices=3\) before"
-    with pytest.warns(xla.ConfigurationWarning, match=line):
+    with pytest.warns(machine.ConfigurationWarning, match=line):
         runtime.configure(devices=3)
     with pytest.raises(InputError, match="^devices: must be at least 1, not 0"):
         runtime.configure(devices=0)
@@ -57,7 +57,7 @@ names = [module.name for module in pkgutil.walk_packages(sinsjax.__path__, "sins
 for name in names:
     if not name.endswith("__main__"):
         importlib.import_module(name)
-        assert not xla.has_backend_started(), name
+        assert not machine.has_backend_started(), name
 assert len(names) > 100
 """)
 
@@ -73,8 +73,8 @@ print(json.dumps([os.environ["XLA_FLAGS"], sinsjax.info()]))
         XLA_FLAGS="--xla_cpu_prefer_vector_width=256",
     )
     flags, info = json.loads(done.stdout)
-    options = xla.required_options() | {"xla_cpu_prefer_vector_width": "256"}
-    assert xla.parse_flags(flags) == options and info["xla_flags"] == flags
+    options = machine.required_xla_options() | {"xla_cpu_prefer_vector_width": "256"}
+    assert machine.parse_xla_flags(flags) == options and info["xla_flags"] == flags
     assert (info["x64"], len(info["devices"])) == (True, 3)
     assert done.stderr == ""
 

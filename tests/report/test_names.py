@@ -19,7 +19,7 @@ from support.studies import small_study
 from support.sweep_directories import rewrite_manifest
 from support.synthetic_tables import synthetic_summary
 
-from sinsjax import console as screen
+from sinsjax import messages as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL

@@ -61,7 +61,7 @@ def continue_all(folder: Path) -> dict[str, pa.Table]:
     """
     from sinsjax.execution import store
 
-    with mock.patch.object(store, "_check_environment"):
+    with mock.patch.object(store, "_refuse_rows_of_other_versions"):
         more = {"killed": {}, "extended": {"study.draws": MORE_DRAWS}}
         for name, changes in more.items():
             study = sinsjax.load_study(folder / name / "study.toml", changes)

@@ -7,9 +7,9 @@ import pytest
 from reading import HERE, TUNED
 
 import sinsjax
-from sinsjax import gone
+from sinsjax import messages
 from sinsjax.errors import InputError
-from sinsjax.execution import sealed
+from sinsjax.execution.directory import read_sealed_parquet, to_sealed_parquet
 from sinsjax.execution.results import Results
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history
@@ -42,10 +42,10 @@ def test_tuning_by_a_removed_search_is_named_as_such(tuned: Path, search: str) -
     text = (tuned / "study.toml").read_text().replace('"sobol",', f'"{search}",')
     (tuned / "study.toml").write_text(text)
     mark = {history._STUDY_MARK: text}
-    rows = sealed.read_sealed_parquet(tuned / history.FILE)
-    (tuned / history.FILE).write_bytes(sealed.to_sealed_parquet(rows, mark))
+    rows = read_sealed_parquet(tuned / history.FILE)
+    (tuned / history.FILE).write_bytes(to_sealed_parquet(rows, mark))
     assert history.is_tuning(tuned)
-    with pytest.raises(InputError, match=rf"searches\[0\]: '{search}' {gone.MARK}"):
+    with pytest.raises(InputError, match=rf"searches\[0\]: '{search}' {messages.GONE_MARK}"):
         history.load_tuned_study(tuned)
     assert len(sinsjax.read_history(tuned)) == len(rows)
 
@@ -58,5 +58,5 @@ def test_report_on_a_removed_trigger_is_refused_and_its_rows_are_read(tmp_path: 
     with pytest.raises(InputError) as caught:
         Results.read(out)
     (line,) = caught.value.lines
-    assert "'nis'" in line and gone.MARK in line
+    assert "'nis'" in line and messages.GONE_MARK in line
     assert len(sinsjax.read_summary(out))

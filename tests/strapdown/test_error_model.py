@@ -6,7 +6,7 @@ from oracles.in_engine import dense, navigation, place
 from oracles.naive import DEG, PAPER, WGS84, exp, skew
 
 from sinsjax.methods.zero_velocity import ten_state_transition
-from sinsjax.strapdown.error_model import five_state_transition
+from sinsjax.strapdown.mechanisation import five_state_transition
 from sinsjax.types import Vec3
 
 pytestmark = pytest.mark.optimised(False)

@@ -16,7 +16,7 @@ from oracles.naive import DEG, WGS84
 from oracles.rigid_body import multiply, of_vector, rotate
 
 from sinsjax.strapdown import base_motion, disturbances, housing, processes
-from sinsjax.strapdown.attitude_path import attitude_path
+from sinsjax.strapdown.base_motion import attitude_path
 from sinsjax.strapdown.disturbances import Disturbances
 from sinsjax.strapdown.turns import Turns
 from sinsjax.types import Increments, Vec3
@@ -85,7 +85,7 @@ def simulate(base, them, samples):
     def step(carry, inputs):
         (states, state), (driven, ideal) = carry, inputs
         states, disturbed = disturbances.advance_processes(them, states, driven, DT)
-        rigid = ideal._replace(increments=disturbances.disturb_motion(ideal, disturbed, HERE, DT))
+        rigid = ideal._replace(increments=disturbances.add_surge(ideal, disturbed, HERE, DT))
         state, made = housing.sense_in_housing(state, rigid, disturbed.housing, lever, HERE, DT)
         return (states, state), (jnp.stack(jax.tree.leaves(made)), moving(states)[1])
 

@@ -11,7 +11,7 @@ from oracles.naive import DEG, WGS84, Swing, skew
 from scipy.interpolate import CubicSpline
 
 from sinsjax.strapdown import base_motion
-from sinsjax.strapdown.attitude_path import attitude_path
+from sinsjax.strapdown.base_motion import attitude_path
 from sinsjax.strapdown.turns import Turns
 from sinsjax.types import Vec3
 from sinsjax.units import DEG_PER_H

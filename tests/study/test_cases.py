@@ -5,8 +5,7 @@ import tomllib
 import pytest
 from support.studies import small_study
 
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_from_dict, study_to_toml
+from sinsjax.study.load import fingerprint, study_from_dict, study_to_toml
 
 COMPASS = {"case": "designed", "method": "compass", "level_sigma_per_s": 0.1, "level_time_s": 5.0}
 TRIGGER = {"reset_trigger": "innovation", "trigger_threshold": 9.0, "trigger_window_s": 3.0}

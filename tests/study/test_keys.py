@@ -25,9 +25,9 @@ from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
-from sinsjax.study.identity import fingerprint
+from sinsjax.study.load import fingerprint
+from sinsjax.study.rules import list_idle_keys
 from sinsjax.study.study import Study
-from sinsjax.study.unused_keys import list_idle_keys
 from sinsjax.units import split_unit
 
 ROOT = Path(__file__).parents[2]

@@ -24,8 +24,7 @@ from support.studies import small_study, with_paper_values
 import sinsjax
 from sinsjax import InputError, load_study, study_from_dict
 from sinsjax.study import files
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import study_to_toml, with_rate
+from sinsjax.study.load import fingerprint, study_to_toml, with_rate
 
 FULL = """
 study = {name = "example", duration_s = 900.0, rate_hz = 100.0, settle_bands_arcmin = [60, 10, 3]}

@@ -13,8 +13,7 @@ from sinsjax import InputError, study_from_dict
 from sinsjax.methods.filters.keys import surge_density
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import processes
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.load import with_rate
+from sinsjax.study.load import fingerprint, with_rate
 from sinsjax.study.study import Study
 
 UG, DEG_PER_H = 9.8e-6, np.pi / 180 / 3600

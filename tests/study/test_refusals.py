@@ -15,7 +15,7 @@ from support.plain_studies import (
 )
 from support.refusals import assert_named, refused
 
-from sinsjax import gone
+from sinsjax import messages
 
 # Of a simulation of 900 s at 100 Hz
 
@@ -95,8 +95,8 @@ tune = {variables.p0_yaw_deg = {low = 10, high = 90}, searches = ["grid", "rando
     -> [tune] searches[1]: 'random' removed 1.0 'sobol'
 """)
 def test_gone_key_or_value_is_refused_with_its_replacement(refusal, monkeypatch):
-    monkeypatch.setitem(gone.KEYS, "filter.mass_kg", "use q_scale")
-    monkeypatch.setitem(gone.VALUES, ("resets.reset_kind", "half"), "use 'scale'")
+    monkeypatch.setitem(messages.GONE_KEYS, "filter.mass_kg", "use q_scale")
+    monkeypatch.setitem(messages.GONE_VALUES, ("resets.reset_kind", "half"), "use 'scale'")
     refusal.check(refusal_line(**refusal.tables))
 
 

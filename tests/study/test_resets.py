@@ -12,7 +12,7 @@ from support.studies import small_study
 from sinsjax.execution.success import last_scheduled_reset_s
 from sinsjax.study.load import load_study
 from sinsjax.study.reset_plan import reset_schedule
-from sinsjax.study.variants import Variants
+from sinsjax.study.values import Variants
 
 AT, RESTARTS = "reset_at_feedback", "reset_restarts_feedback"
 

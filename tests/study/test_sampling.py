@@ -16,7 +16,7 @@ from support.plain_studies import (
 )
 from support.refusals import refused
 
-from sinsjax.study import sampling
+from sinsjax.study import values
 from sinsjax.study.study import Study
 
 MANY = 1 << 14
@@ -36,7 +36,7 @@ def make_study(laws: dict[str, Any], **changes: Any) -> Study:
 
 
 def drawn(laws: dict[str, Any], count: int = MANY, **changes: Any) -> dict[str, np.ndarray]:
-    return sampling.drawn_values(make_study(laws, **changes), count)
+    return values.drawn_values(make_study(laws, **changes), count)
 
 
 SOBOL = {"sampling": "sobol"} | LAWS
@@ -88,8 +88,8 @@ def test_extreme_sobol_points_give_finite_values(end, monkeypatch):
 @given(first=st.integers(0, 70), count=st.integers(0, 70))
 def test_draws_do_not_depend_on_block(laws, first, count):
     study = make_study(laws | {"roll_center_deg": {"values": [0, 10]}})
-    whole = sampling.drawn_values(study, 140)
-    for key, rows in sampling.drawn_values(study, count, first=first).items():
+    whole = values.drawn_values(study, 140)
+    for key, rows in values.drawn_values(study, count, first=first).items():
         np.testing.assert_array_equal(rows, whole[key][first : first + count])
 
 

@@ -12,8 +12,8 @@ from support.turning_logs import DEG, DEG_PER_H
 import sinsjax as package
 from sinsjax import InputError
 from sinsjax.execution.prepare import prepare_job
-from sinsjax.study.identity import fingerprint
-from sinsjax.study.turns import useless_methods
+from sinsjax.study.load import fingerprint
+from sinsjax.study.motion import methods_not_using_turns
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -68,7 +68,7 @@ def test_turns_repeat_until_the_end_and_the_last_keeps_its_rate():
 )
 def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     study = small_study(motion=motion, alignment={"method": method, "phi_u0_deg": 0.0})
-    lines = list(useless_methods(study))
+    lines = list(methods_not_using_turns(study))
     assert len(lines) == warned
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, RunParams, Tiles
 from sinsjax.engine.metrics import Observation, Outcome
-from sinsjax.engine.run import TileRuns, run_tile, set_up
+from sinsjax.engine.run import TileRuns, prepare_tile, run_tile
 
 
 def first_lane(tree: Any) -> Any:
@@ -23,7 +23,7 @@ def tile_of_one(draw: Draw, params: RunParams) -> Tiles:
 def set_up_alone(
     spec: ProgramSpec, environment: Environment, draw: Draw, params: RunParams
 ) -> TileRuns:
-    return set_up(spec, environment, tile_of_one(draw, params))
+    return prepare_tile(spec, environment, tile_of_one(draw, params))
 
 
 def run_alone(

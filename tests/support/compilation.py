@@ -19,7 +19,7 @@ import pytest
 from jax._src import compiler  # no public setting says what is compiled everywhere in a process
 
 from sinsjax.engine import batch
-from sinsjax.platform import compile_cache, machine
+from sinsjax.platform import machine, runtime
 from support.memory import process_bytes
 
 _LEAST_OPTION = "jax_disable_most_optimizations"
@@ -78,15 +78,15 @@ def share_cache(repository: Path) -> None:
     write there, as JAX would run what they put there.
     """
     # Most programs here are small: the next process reads one sooner than it compiles it.
-    compile_cache._MIN_COMPILE_S = 0.05
+    runtime._MIN_COMPILE_S = 0.05
     # To keep a limit, JAX reads the times of all entries whenever it writes one.
-    os.environ.setdefault(compile_cache._SIZE, "-1")
-    if compile_cache.VARIABLE not in os.environ:
+    os.environ.setdefault(runtime._CACHE_SIZE, "-1")
+    if runtime.CACHE_VARIABLE not in os.environ:
         try:
             folder = machine.ensure_private_folder(repository / ".pytest_cache" / "compiled")
         except OSError:
             folder = None
-        os.environ[compile_cache.VARIABLE] = str(folder or 0)
+        os.environ[runtime.CACHE_VARIABLE] = str(folder or 0)
 
 
 def install_spared_options() -> None:

@@ -13,12 +13,10 @@ from rich.console import Console
 
 from sinsjax import report
 from sinsjax.columns import SCHEMA_VERSION
-from sinsjax.execution.directory import MANIFEST, STUDY
+from sinsjax.execution.directory import MANIFEST, STUDY, to_sealed_json, to_sealed_parquet
 from sinsjax.execution.results import CHUNK_METADATA, STUDY_METADATA
-from sinsjax.execution.sealed import to_sealed_json, to_sealed_parquet
 from sinsjax.execution.tasks import Job
-from sinsjax.study.identity import fingerprint, sections_to_json
-from sinsjax.study.load import study_to_toml
+from sinsjax.study.load import fingerprint, sections_to_json, study_to_toml
 from sinsjax.study.study import Study
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sinsjax.engine.batch import map_in_threads
-from sinsjax.execution.directory import DATASETS
-from sinsjax.execution.sealed import SEAL_KEY, is_intact, to_sealed_json
+from sinsjax.execution.directory import DATASETS, SEAL_KEY, is_intact, to_sealed_json
 from sinsjax.execution.tasks import Executor, Task, TaskResult, TaskRunner
 from sinsjax.study.study import Study
 from support.studies import small_study

@@ -223,7 +223,7 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(
 
     monkeypatch.setattr(optax, "adam", lambda rate: optax.scale(0.1))
     monkeypatch.setattr(gradient.Slope, "__call__", slope)
-    monkeypatch.setattr(gradient, "score_hard", score)
+    monkeypatch.setattr(gradient, "score_with_hard_resets", score)
     found = gradient.descend(study)
     assert seen == [[0, 1], [2, 3], [0, 1]]
     starts = [e for e in found.evaluations if e.step == 0]

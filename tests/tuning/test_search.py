@@ -17,7 +17,7 @@ from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
-from sinsjax.tuning.law_point import law_point
+from sinsjax.tuning.search import law_point
 from sinsjax.units import ARCMIN, DEG
 
 pytestmark = pytest.mark.optimised(False)

@@ -28,7 +28,9 @@ class Innovation(NamedTuple):
 
 def initial_belief(variances: Sequence[Scalar]) -> Belief:
     """Return zero means with a diagonal covariance."""
-    return Belief(tuple(0.0 * v for v in variances), algebra.diagonal_triangle(variances))
+    x, n = tuple(0.0 * v for v in variances), len(variances)
+    zero = 0.0 * variances[0]
+    return Belief(x, tuple(variances[i] if i == j else zero for i in range(n) for j in range(i, n)))
 
 
 def propagate(belief: Belief, transition: Entries) -> Belief:
@@ -45,8 +47,10 @@ def add_noise(belief: Belief, q: Sequence[Scalar]) -> Belief:
     return Belief(belief.x, tuple(p))
 
 
-def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar) -> Belief:
-    """Update with direct measurements of some states, [P1] eqs (10)-(12).
+def update(
+    belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar
+) -> tuple[Belief, Innovation]:
+    """Update with direct measurements of some states, [P1] eqs (10)-(12); also the innovation.
 
     The measurement noise is white over the components (R = r I), so the components are taken one
     after the other: the same result as the joint update, without a matrix inverse.
@@ -59,26 +63,19 @@ def update(belief: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scal
     """
     (x, p), n = belief, len(belief.x)
     at = triangle_index(n)
+    pairs = [(i, j) for k, i in enumerate(measured) for j in measured[k:]]
+    innovation = Innovation(
+        value=tuple(value - x[m] for m, value in zip(measured, z, strict=True)),
+        variance=tuple(p[at[i, j]] + r if i == j else p[at[i, j]] for i, j in pairs),
+    )
     for m, value in zip(measured, z, strict=True):
         column = [p[at[i, m]] for i in range(n)]
         inverse = 1 / (column[m] + r)
         gain = [c * inverse for c in column]
         p = tuple(p[at[i, j]] - gain[i] * column[j] for i in range(n) for j in range(i, n))
-        innovation = (value - x[m]) * inverse
-        x = tuple(x[i] + column[i] * innovation for i in range(n))
-    return Belief(x, p)
-
-
-def innovation(
-    predicted: Belief, measured: Sequence[int], z: Sequence[Scalar], r: Scalar
-) -> Innovation:
-    """Return the innovation of an update; arguments as of `update`."""
-    (x, p), at = predicted, triangle_index(len(predicted.x))
-    pairs = [(i, j) for k, i in enumerate(measured) for j in measured[k:]]
-    return Innovation(
-        value=tuple(value - x[m] for m, value in zip(measured, z, strict=True)),
-        variance=tuple(p[at[i, j]] + r if i == j else p[at[i, j]] for i, j in pairs),
-    )
+        scaled = (value - x[m]) * inverse
+        x = tuple(x[i] + column[i] * scaled for i in range(n))
+    return Belief(x, p), innovation
 
 
 def normalised_innovation_squared(value: Sequence[Scalar], variance: Sequence[Scalar]) -> Scalar:

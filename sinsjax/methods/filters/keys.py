@@ -203,17 +203,17 @@ def has_trigger(name: str | None) -> bool:
 
 
 _RESETS = ("reset_times_s", "reset_count", "reset_trigger")
-"""Keys that decide whether P is reset at all, in the order of `_is_reset`."""
+"""Keys that decide whether P is reset at all, in the order of `_has_resets`."""
 
 
-def _is_reset(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
+def _has_resets(times: Sequence[float] | None, count: int | None, trigger: str | None) -> bool:
     return bool(times or count or has_trigger(trigger))
 
 
 def _with_resets(key: str, values: Sequence[Any], *keys: str) -> KeyCondition:
     """Return the condition that P is reset and ``key`` has one of some values."""
     return KeyCondition(
-        keys, (key, *_RESETS), lambda value, *resets: value in values and _is_reset(*resets)
+        keys, (key, *_RESETS), lambda value, *resets: value in values and _has_resets(*resets)
     )
 
 
@@ -241,11 +241,11 @@ class ResetsSection(Section):
             ("reset_count", "reset_first_s"),
             lambda count, first_s: (count or 0) > (first_s is not None),
         ),
-        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _is_reset),
+        KeyCondition(("reset_kind", "reset_at_feedback"), _RESETS, _has_resets),
         KeyCondition(
             ("reset_restarts_feedback",),
             ("reset_at_feedback", *_RESETS),
-            lambda waits, *resets: _is_reset(*resets) and (not waits or has_trigger(resets[2])),
+            lambda waits, *resets: _has_resets(*resets) and (not waits or has_trigger(resets[2])),
         ),
         _with_resets("reset_kind", ("scale",), "reset_scale"),
         _with_resets("reset_kind", ("full", "yaw"), "reset_yaw_deg"),
@@ -371,7 +371,7 @@ def any_trigger(study: StudyKeys) -> bool:
     return any(has_trigger(point["reset_trigger"]) for point in points)
 
 
-def find_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
+def find_key_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
     """Return the first setting of resets without a gradient, as ``[section] key``; or None.
 
     Smoothed, each reset is spread over a window.
@@ -400,10 +400,10 @@ def check_resets(study: StudyKeys) -> None:
             shown = " and ".join(map(repr, names))
             study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
     for point in points:
-        _check_schedule(study, point)
+        _check_reset_times(study, point)
 
 
-def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
+def _check_reset_times(study: StudyKeys, point: Mapping[str, Any]) -> None:
     times_s, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
     rate, end_s = study.rate_hz, study.run_s * (1 + ROUNDING)
     late = colliding = "schedule" if point["schedule"] == "law" else "reset_times_s"
@@ -433,7 +433,7 @@ def _check_schedule(study: StudyKeys, point: Mapping[str, Any]) -> None:
 # Columns, and what all filters have
 
 
-def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
+def _trigger_column(which: str, results: Any, rate_hz: float) -> NDArray:
     """Return the number of resets by a trigger, or the time of one, s; NaN for none."""
     counts = results.trigger_counts
     number = np.asarray(0.0 if counts is None else getattr(counts, which))
@@ -443,14 +443,14 @@ def _triggered(which: str, results: Any, rate_hz: float) -> NDArray:
 FILTER_COLUMNS = (
     OwnColumn(
         column("triggered_count", "resets that the trigger called for", pa.int64()),
-        partial(_triggered, "count"),
+        partial(_trigger_column, "count"),
         missing=0.0,
         applies_to=any_trigger,
     ),
     *(
         OwnColumn(
             column(f"triggered_{which}_s", f"time of the {which} of them; null for none"),
-            partial(_triggered, which),
+            partial(_trigger_column, which),
             applies_to=any_trigger,
         )
         for which in ("first", "last")

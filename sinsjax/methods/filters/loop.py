@@ -1,4 +1,4 @@
-"""A Kalman filter in closed loop: from the stages of a `Filter` to its `Program`.
+"""A Kalman filter in closed loop: from its stages, a `Filter`, to its `Program` and its `Method`.
 
 The order within a sample is that of [P1]: mechanise and propagate, add the process noise, update
 with the measured velocity; then, if they are due, feed the estimate back and reset P. Schedules of
@@ -7,29 +7,53 @@ filter, whatever its states.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import Entries, add, change_signs, scale, select_tree
+from sinsjax.maths.algebra import Entries, add, change_signs, scale, select_tree, triangle_index
 from sinsjax.methods import schedules
 from sinsjax.methods.filters import kalman, triggers
-from sinsjax.methods.filters.attitude import (
-    corrected_attitude,
-    estimated_misalignment,
-    misalignment_covariance,
-)
+from sinsjax.methods.filters import keys as filter_keys
 from sinsjax.methods.filters.kalman import Belief, Innovation
-from sinsjax.methods.filters.keys import StateKind
-from sinsjax.methods.method import AttitudeCovariance, Feedback, Options, Passes, Program, Site
+from sinsjax.methods.filters.keys import (
+    ACCEL_NOISE,
+    BIAS_KEYS,
+    FILTER_COLUMNS,
+    GYRO_NOISE,
+    FilterSection,
+    ProcessNoise,
+    ResetsSection,
+    StateKind,
+    check_resets,
+)
+from sinsjax.methods.filters.triggers import TriggerParams
+from sinsjax.methods.method import (
+    AttitudeCovariance,
+    Feedback,
+    Method,
+    Options,
+    Passes,
+    Program,
+    Site,
+    StudyKeys,
+)
+from sinsjax.methods.schedules import UNCHANGED, CovarianceReset, FeedbackSchedule, Resets
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
-from sinsjax.strapdown.error_model import PHI_E, PHI_N, PHI_U, VE, VN
+from sinsjax.strapdown.mechanisation import PHI_E, PHI_N, PHI_U, VE, VN
 from sinsjax.types import Navigation, Quat, Sample, Scalar, Vec3
+from sinsjax.units import si_factor
+from sinsjax.value_types import keys_of
 
 FIRST_BIAS = PHI_U + 1
 """Number of the first state after those of velocity and attitude, in filters of biases."""
+
+_ANGLES = (PHI_E, PHI_N, PHI_U)
 
 
 class InnovationSum(NamedTuple):
@@ -52,10 +76,10 @@ class FilterParams(NamedTuple):
     p0: tuple[Scalar, ...]  # variances at the start
     q: tuple[Scalar, ...]  # variances added each sample
     r: Scalar  # variance of each velocity measurement, (m/s)^2
-    feedback: schedules.FeedbackSchedule
-    resets: schedules.Resets
+    feedback: FeedbackSchedule
+    resets: Resets
     reset_to: tuple[Scalar, ...]  # variances that a full reset sets
-    reversal: schedules.CovarianceReset  # effect of a direction reversal on P
+    reversal: CovarianceReset  # effect of a direction reversal on P
     trigger: Any = None  # `triggers.TriggerParams`; None without a trigger
     extra: Any = None  # numbers of this filter alone; None if it has none
 
@@ -80,11 +104,27 @@ def initial_state(params: FilterParams, nav: Navigation) -> FilterState:
     return FilterState(nav, kalman.initial_belief(params.p0), (), params.feedback.every)
 
 
+def estimated_misalignment(state: Any) -> Vec3:
+    """Return the estimated rotation vector, rad: `Filter.misalignment`."""
+    return Vec3(*(state.belief.x[i] for i in _ANGLES))
+
+
+def corrected_attitude(state: Any) -> Quat:
+    """Return exp(phi x) C: `Filter.attitude`."""
+    return rotations.correct(estimated_misalignment(state), state.nav.q)
+
+
+def misalignment_covariance(state: Any) -> AttitudeCovariance:
+    """Return the covariance of phi, rad^2: `Filter.covariance`."""
+    at = triangle_index(len(state.belief.x))
+    pairs = combinations_with_replacement(_ANGLES, 2)
+    return AttitudeCovariance(*(state.belief.p[at[pair]] for pair in pairs))
+
+
 def update_with_velocity(params: Any, state: Any) -> tuple[Any, Innovation]:
     """Update with the velocity, which should be zero: [P1] eqs (10)-(12)."""
     measured = state.nav.ve, state.nav.vn
-    innovation = kalman.innovation(state.belief, (VE, VN), measured, params.r)
-    belief = kalman.update(state.belief, (VE, VN), measured, params.r)
+    belief, innovation = kalman.update(state.belief, (VE, VN), measured, params.r)
     return state._replace(belief=belief), innovation
 
 
@@ -174,7 +214,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
         feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
-        passes=Passes(loop.reverse, _begin_after),
+        passes=Passes(loop.reverse, _shift_counts),
     )
 
 
@@ -246,7 +286,8 @@ class _ClosedLoop(NamedTuple):
         gain = jnp.where(feeds_back, params.feedback.gain, 0.0)
         share = schedules.interpolate(resets, 1.0, gain)
         closed = self.filter.feed_back(state, share)
-        effect = schedules.reset_if_due(resets, params.resets.covariance_reset)
+        due = partial(schedules.interpolate, resets)  # else a reset that leaves P unchanged
+        effect = CovarianceReset(*map(due, params.resets.covariance_reset, UNCHANGED))
         p = schedules.reset_covariance(effect, state.belief.p, params.reset_to, self.heading)
         closed = closed._replace(
             belief=closed.belief._replace(p=p),
@@ -254,7 +295,7 @@ class _ClosedLoop(NamedTuple):
         )
         if self.trigger is not None:
             fed_back = scale(share, self.filter.misalignment(state))
-            closed = triggers.update_after_closing(self.trigger, closed, resets, fed_back, n)
+            closed = triggers.update_after_feedback(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.
@@ -265,7 +306,7 @@ class _ClosedLoop(NamedTuple):
         state = self.filter.reverse([kind.sign for kind in self.states], state)
         p = schedules.reset_covariance(params.reversal, state.belief.p, params.p0, self.heading)
         state = state._replace(belief=state.belief._replace(p=p))
-        return triggers.begin_pass(self.trigger, state, self.filter.misalignment(state))
+        return triggers.restart_for_pass(self.trigger, state, self.filter.misalignment(state))
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
@@ -278,9 +319,129 @@ def _next_event(params: Any, state: Any, n: Scalar) -> Scalar | None:
     return schedules.next_due(state.feedback_at, params.resets, n)
 
 
-def _begin_after(state: Any, n: Scalar) -> Any:
+def _shift_counts(state: Any, n: Scalar) -> Any:
     state = state._replace(feedback_at=state.feedback_at + n)
     if state.trigger_state is None:
         return state
     last_reset = state.trigger_state.last_reset + n
     return state._replace(trigger_state=state.trigger_state._replace(last_reset=last_reset))
+
+
+# The method, and its params from the keys of a study
+
+LOOP_KEYS = (
+    *("feedback_interval_s", "feedback_time_constant_s"),
+    *("turn_covariance", "turn_inflation"),
+)
+"""The keys of [alignment] and [passes] that act on every filter."""
+
+
+def filter_method(
+    states: Sequence[StateKind], build: Callable[[Options], Filter], **parts: Any
+) -> Method:
+    """Return the method of a filter in closed loop, by default one without sensor bias states."""
+    usual: dict[str, Any] = {
+        "params": partial(filter_params, states),
+        "sections": {"filter": FilterSection, "resets": ResetsSection},
+        "reads": LOOP_KEYS,
+        "without_effect": BIAS_KEYS,
+        "turning": "none",
+        "rules": (check_resets,),
+        "columns": FILTER_COLUMNS,
+    }
+    return Method(
+        build=lambda options: closed_loop(states, build(options), options), **usual | parts
+    )
+
+
+def filter_params(
+    states: Sequence[StateKind], keys: StudyKeys, xp: Any, *, models_surge: bool = False
+) -> FilterParams:
+    """Return the params of a filter with states of these kinds, leaves (variants,).
+
+    R does not follow the surge if other states model that; see `Method.params`.
+    """
+    zero = np.zeros(keys.count)
+
+    def variances(when: str) -> list[Any]:
+        return [
+            zero + kind.variance if kind.name is None else keys.si(f"{when}_{kind.name}") ** 2
+            for kind in states
+        ]
+
+    p0, after = variances("p0"), variances("reset")
+    q_scale = keys.compute(lambda scale: 1.0 if scale is None else scale, "q_scale")
+    q = {noise: _step_variance(keys, noise) * q_scale for noise in (ACCEL_NOISE, GYRO_NOISE)}
+    reads_surge = keys.has("motion") and not models_surge
+    of_r = keys_of(filter_keys.update_variance)[: None if reads_surge else 3]
+    return FilterParams(
+        p0=tuple(p0),
+        q=tuple(zero if kind.q is None else q[kind.q] for kind in states),
+        r=keys.compute(partial(filter_keys.update_variance, keys.rate_hz), *of_r),
+        feedback=_feedback_schedule(keys, xp),
+        resets=_reset_schedule(keys),
+        # Left out, a reset sets P as at the start.
+        reset_to=tuple(
+            xp.where(xp.isnan(to), start, to) for to, start in zip(after, p0, strict=True)
+        ),
+        reversal=_covariance_reset(keys, "turn_covariance", "turn_inflation")
+        if keys.has("passes")
+        else CovarianceReset(*(np.broadcast_to(k, zero.shape) for k in UNCHANGED)),
+        trigger=_trigger_params(keys),
+    )
+
+
+def _step_variance(keys: StudyKeys, noise: ProcessNoise) -> Any:
+    """Return the variance added per step, (variants,), by a form of a key or the sensors' noise."""
+    readings = filter_keys.q_unit_factors(1 / keys.rate_hz)
+    given = next((form for form in noise.forms if keys.common(form) is not None), None)
+    if given is None:
+        white = keys.compute(partial(noise.density, keys.rate_hz), *noise.white)
+        return (white * si_factor(noise.key, keys.micro_g)) ** 2 * readings["psd"]
+    reading = keys.compute(readings.__getitem__, "q_reading")
+    return keys.si(given) ** 2 * reading
+
+
+def _trigger_params(keys: StudyKeys) -> TriggerParams | None:
+    """Return the params of the trigger; None without one."""
+    if not filter_keys.has_trigger(keys.common("reset_trigger")):
+        return None
+    rate_hz = keys.rate_hz
+    until = keys.compute(lambda time: np.inf if time is None else time, "trigger_until_s")
+    return TriggerParams(
+        threshold=keys.column("trigger_threshold"),
+        window=np.round(keys.column("trigger_window_s") * rate_hz),
+        refractory=np.round(keys.column("trigger_refractory_s") * rate_hz),
+        most=keys.column("trigger_most"),
+        until=np.round(until * rate_hz),
+    )
+
+
+def _feedback_schedule(keys: StudyKeys, xp: Any) -> FeedbackSchedule:
+    """Return intervals in samples and gains 1 - exp(-interval/time constant)."""
+    every = xp.round(keys.column("feedback_interval_s") * keys.rate_hz)
+    constant_s = keys.column("feedback_time_constant_s")
+    lags = constant_s > 0
+    gain = -xp.expm1(-every / keys.rate_hz / xp.where(lags, constant_s, 1.0))
+    restarts = keys.compute(float, "reset_restarts_feedback")
+    gain = xp.where(lags, gain, 1.0)
+    return FeedbackSchedule(every, gain, restarts if restarts.any() else None)
+
+
+def _reset_schedule(keys: StudyKeys) -> Resets:
+    acting = partial(filter_keys.acting_reset_times, keys.rate_hz)
+    samples = keys.lists(acting, *filter_keys.RESET_KEYS, padding=np.inf) * keys.rate_hz
+    if isinstance(samples, np.ndarray):  # traced, a window moves with its time
+        samples = np.round(samples)
+    return Resets(samples, _covariance_reset(keys, "reset_kind", "reset_scale"))
+
+
+def _covariance_reset(keys: StudyKeys, kind: str, factor: str) -> CovarianceReset:
+    """Return the effects on P of ``reset_kind`` or ``turn_covariance``."""
+
+    def numbers(name: str, given: Any) -> Sequence[Any]:
+        full, scaled = (0.0, 0.0, 1.0, 1.0), (given, given, 0.0, 0.0)
+        kinds = {"full": full, "yaw": (1.0, 0.0, 0.0, 1.0), "scale": scaled}
+        return {**kinds, "carried": UNCHANGED, "inflated": scaled, "reset": full}[name]
+
+    return CovarianceReset(*keys.compute(numbers, kind, factor).T)

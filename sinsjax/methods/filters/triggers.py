@@ -16,7 +16,7 @@ from sinsjax.maths.algebra import Entries, Triangle, add, select_tree
 from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.kalman import Belief, Innovation
 from sinsjax.methods.method import AttitudeCovariance
-from sinsjax.strapdown.error_model import VE, VN
+from sinsjax.strapdown.mechanisation import VE, VN
 from sinsjax.types import Flag, Scalar, Vec3
 from sinsjax.units import DEG
 
@@ -108,7 +108,7 @@ def fired(state: Any, n: Scalar) -> Flag:
     return state.trigger_state.trigger_counts.last == n
 
 
-def update_after_closing(
+def update_after_feedback(
     trigger: Trigger, state: Any, reset: Flag, fed_back: Vec3, n: Scalar
 ) -> Any:
     """Return a filter's state after the n-th sample, with P reset or not and an angle fed back."""
@@ -122,7 +122,7 @@ def update_after_closing(
     return state._replace(trigger_state=after)
 
 
-def begin_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
+def restart_for_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
     """Return a filter's first state of a pass, with the memory of its trigger, if any, cleared.
 
     The counts of resets continue. What is estimated and not yet fed back, the misalignment in rad,
@@ -141,19 +141,19 @@ def begin_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
 # Innovations over a window
 
 
-class _Block(NamedTuple):
+class _Window(NamedTuple):
     """Sums over a window that begins anew when it is full."""
 
     count: Scalar
     sums: tuple[Scalar, ...]
 
 
-def _start_block(p: Triangle) -> _Block:
+def _empty_window(p: Triangle) -> _Window:
     zero = jnp.zeros_like(p[0])
-    return _Block(zero, (zero,) * 5)
+    return _Window(zero, (zero,) * 5)
 
 
-def _score_innovation(params: Any, block: _Block, snapshot: FilterSnapshot) -> tuple[_Block, Any]:
+def _score_innovation(params: Any, block: _Window, snapshot: FilterSnapshot) -> tuple[_Window, Any]:
     """Return (sum r)' (sum S)^-1 (sum r) over a window, chi-square with 2 degrees of freedom."""
     window = params.trigger.window
     again = block.count >= window  # a full window begins anew
@@ -161,7 +161,7 @@ def _score_innovation(params: Any, block: _Block, snapshot: FilterSnapshot) -> t
     sums = tuple(jnp.where(again, 0.0, s) + t for s, t in zip(block.sums, terms, strict=True))
     count = jnp.where(again, 0.0, block.count) + 1
     score = kalman.normalised_innovation_squared(sums[:2], sums[2:])
-    return _Block(count, sums), jnp.where(count >= window, score, 0.0)
+    return _Window(count, sums), jnp.where(count >= window, score, 0.0)
 
 
 # Knowledge of heading that a linear model cannot have
@@ -194,17 +194,17 @@ def _score_linearisation(
 
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
     honest = kalman.add_noise(kalman.propagate(Belief(zeros, p), snapshot.at_rest), params.q)
-    honest = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
+    honest, _ = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
     done, left = snapshot.correction, snapshot.not_fed_back
     known = weight(done) * (p_star.uu / believed - 1)
     jump = weight(left) * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
-    left_out = (done.z - _sine(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    left_out = (done.z - _sine_by_series(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
     return honest.p, jnp.sqrt(1 + known + jump + left_out)
 
 
-def _sine(angle: Scalar) -> Scalar:
+def _sine_by_series(angle: Scalar) -> Scalar:
     """Return the sine of an angle of some turns, to some 1e-15 by arithmetic alone.
 
     For `jnp.sin` XLA:CPU calls the library lane by lane.
@@ -218,7 +218,7 @@ def _sine(angle: Scalar) -> Scalar:
 
 
 TRIGGERS = {
-    "innovation": Trigger(_start_block, _score_innovation),
+    "innovation": Trigger(_empty_window, _score_innovation),
     "linearisation": Trigger(lambda p: p, _score_linearisation),
 }
 """All triggers by name; ``[resets] reset_trigger`` names one."""

@@ -14,7 +14,10 @@ l by p(t) = sum of C d(angle), which for a constant bias b is P(t) b:
 
 and accelerometer errors enter as the level part of C a h. White noise of the gyros adds a random
 walk w to p, so that the sums over the blocks need a whitening filter: a Kalman filter of w, whose
-innovations are independent. It filters every column alike. Then
+innovations are independent. It filters every column alike. Its state is complex, too: drifts of the
+gyros add to w, those of the accelerometers and the surge of the base to the measurement. Drifts
+belong to axes of the body, and turn in l as the body turns, by a phase. The noise of both axes is
+alike, so each covariance is that of one axis. Then
 
     N = Re sum of x x^*,    N e = Re sum of x z^*
 
@@ -35,17 +38,14 @@ tilt, leaves P_z b.
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, cross, dot, scale
-from sinsjax.methods.filters.attitude import rotate_covariance, rotation_about_vertical
-from sinsjax.methods.gravity_fit import noise as whitening
-from sinsjax.methods.gravity_fit.noise import times
-from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
+from sinsjax.maths.algebra import add, cross, dot, invert_positive_definite, scale
+from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance, rotate_covariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
@@ -67,10 +67,145 @@ _ANY, _LEVEL, _KNOWN = 1e3, 1.0, 1e-9
 _AXES = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 
+# Noise of the blocks
+
+Number: TypeAlias = Any
+"""A scalar, real or complex."""
+
+Covariance: TypeAlias = dict[tuple[int, int], Number]
+"""Of the states of a `NoiseModel`, by pairs i <= k."""
+
+
+class Drift(NamedTuple):
+    """A slow error of each axis of a triad, or the surge: a first-order process."""
+
+    variance: Scalar  # at the first sample; that of a stationary process if ``rate`` is not zero
+    rate: Scalar  # 1 over its correlation time, 1/s; 0 for a random walk
+    density: Scalar  # variance that a random walk gains per second
+
+
+class SensorNoise(NamedTuple):
+    """The noise of the sensors and of the base, SI units."""
+
+    gyro: Scalar  # density of the gyros' white noise, rad/s^0.5
+    accel: Scalar  # density of the accelerometers' white noise, m/s^1.5
+    gyro_drifts: tuple[Drift, ...] = ()  # of each gyro, rad/s
+    accel_drifts: tuple[Drift, ...] = ()  # of each accelerometer, m/s^2
+    # Velocity of the base along east and north, m/s; None for a base in place
+    surge: Drift | None = None
+
+
+class NoiseState(NamedTuple):
+    """A slow error of the blocks as a complex state of the level axes: w, a drift or the surge."""
+
+    seen: Scalar  # factor of the state in a measurement
+    kept: Scalar  # share of it that is left after a block
+    # Factor with which it adds to w; None for a state that does not turn with the body
+    to_walk: Scalar | None
+    driven: Scalar  # variance that it gains in a block
+    shared: Scalar  # covariance of that with the noise of the measurement
+    variance: Scalar  # before the first block
+
+
+class NoiseModel(NamedTuple):
+    """Noise of the blocks: its slow states, w first, and the variance of a measurement's noise."""
+
+    states: tuple[NoiseState, ...]
+    measured: Scalar
+
+    def cast(self, number: Number) -> Number:
+        """Return a number as complex if a state turns with the body; else real numbers do."""
+        turns = any(state.to_walk is not None for state in self.states)
+        return jnp.asarray(number).astype(complex) if turns else jnp.asarray(number)
+
+    def initial(self) -> Covariance:
+        """Return the covariance of the states before the first block."""
+        off, n = self.cast(jnp.zeros_like(self.measured)), len(self.states)
+        pairs = [(i, k) for i in range(n) for k in range(i, n)]
+        return {(i, k): self.states[i].variance if i == k else off for i, k in pairs}
+
+
+def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
+    """Return the model of blocks of a length."""
+    h, zero = length_s, jnp.zeros_like(noise.gyro)
+    gh, q = gravity * h, noise.gyro**2 * h
+    # The measurement sees the mean of w over the block, of which half and a third are new.
+    states = [NoiseState(gh, zero + 1, None, q, gh * q / 2, zero)]
+    measured = gh**2 * q / 3 + noise.accel**2 * h
+    drifts = [(gh * h / 2, zero + h, drift) for drift in noise.gyro_drifts]
+    drifts += [(zero + h, zero, drift) for drift in noise.accel_drifts]
+    drifts += [] if noise.surge is None else [(None, None, noise.surge)]
+    for seen, to_walk, drift in drifts:
+        kept = jnp.exp(-drift.rate * h)
+        driven = drift.variance * -jnp.expm1(-2 * drift.rate * h) + drift.density * h
+        shared = zero
+        if seen is None:  # the surge, whose change a block sees
+            seen, shared, measured = kept - 1, driven, measured + driven
+        states.append(NoiseState(seen, kept, to_walk, driven, shared, drift.variance))
+    return NoiseModel(tuple(states), measured)
+
+
+def predict_noise(
+    noise: NoiseModel, variance: Covariance, turned: Scalar
+) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
+    """Return transition, gain, innovation variance and the covariance of the noise after a block.
+
+    The transition is rows of entries by column, without zeros; ``turned`` is the angle by which the
+    body turned about the vertical in the block, rad.
+    """
+    states, places, cast = noise.states, range(len(noise.states)), noise.cast
+
+    def p(i: int, k: int) -> Number:
+        return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
+
+    step = [{i: cast(state.kept)} for i, state in enumerate(states)]
+    for i, state in enumerate(states):
+        if state.to_walk is not None:
+            step[i][i] = step[i][i] * jnp.exp(cast(turned) * 1j)
+            step[0][i] = cast(state.to_walk)
+    seen = [sum(p(i, k) * cast(states[k].seen) for k in places) for i in places]
+    s = noise.measured + sum(states[i].seen * jnp.real(seen[i]) for i in places)
+    moved = [
+        sum(f * seen[k] for k, f in row.items()) + cast(state.shared)
+        for row, state in zip(step, states, strict=True)
+    ]
+    half = [[sum(f * p(j, k) for j, f in row.items()) for k in places] for row in step]
+    after = {}
+    for i, k in variance:
+        value = sum(half[i][j] * jnp.conj(f) for j, f in step[k].items())
+        value = value - moved[i] * jnp.conj(moved[k]) / cast(s)
+        after[i, k] = jnp.real(value) + states[i].driven if i == k else value
+    return step, [m / cast(s) for m in moved], s, after
+
+
+def multiply_pairs(factor: Number, pairs: Array) -> Array:
+    """Return a number, maybe complex, times complex numbers in pairs, (n, 2)."""
+    if not jnp.iscomplexobj(factor):
+        return factor * pairs
+    x, y = pairs.T
+    real, imaginary = jnp.real(factor), jnp.imag(factor)
+    return jnp.stack([real * x - imaginary * y, imaginary * x + real * y], axis=-1)
+
+
+def heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
+    """Return the variance by which noise and drift of the vertical gyro turn the heading."""
+    total = noise.gyro**2 * time_s
+    for drift in noise.gyro_drifts:
+        x = drift.rate * time_s
+        small = x < 1e-2
+        large = jnp.where(small, 1.0, x)
+        share = jnp.where(small, 1 - x / 3, 2 * (large + jnp.expm1(-large)) / large**2)
+        total = total + drift.variance * time_s**2 * share + drift.density * time_s**3 / 3
+    return total
+
+
+# The fit
+
+
 class FitParams(NamedTuple):
     """Beliefs about sensors and base: their noise, and 1 sigma of each axis' errors, SI units."""
 
-    noise: whitening.SensorNoise
+    noise: SensorNoise
     gyro_bias: Scalar
     accel_bias: Scalar
     # Of the gyros; None leaves these, and the cross-axis errors, out
@@ -112,7 +247,7 @@ class Block(NamedTuple):
         """Return its `NUMBERS`."""
         return jnp.stack(jax.tree.leaves(self))
 
-    def by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
+    def rotations_by_gyro_errors(self, triads: int, length_s: float) -> list[Vec3]:
         """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start.
 
         Each is a factor times the mean of an axis of b over the block: over the angle turned, by
@@ -126,7 +261,7 @@ class Block(NamedTuple):
         axes = [Vec3(*axis) for axis in zip(*mean, strict=True)]
         return [scale(factor, axis) for factor in (length_s, *self.angle)[:triads] for axis in axes]
 
-    def without(self, rotation: Vec3) -> Quat:
+    def turn_without(self, rotation: Vec3) -> Quat:
         """Return the rotation of the body less that by errors."""
         return rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.turn)
 
@@ -171,8 +306,8 @@ def solve(
     zero = jnp.zeros_like(first.x)
     solution = Solution.before_data(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
-    guess = _Guess(_level(first), (zero + 1, zero), *triads)
-    model = whitening.noise_model(params.noise, place.gravity, length_s)
+    guess = _Guess(_level_attitude(first), (zero + 1, zero), *triads)
+    model = noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
         number, _, solution = carry
@@ -181,7 +316,8 @@ def solve(
 
     def over_pass(carry: tuple[Count, _Guess, Solution]) -> tuple[Count, _Guess, Solution]:
         number, guess, _ = carry
-        here = _Pass(place, model, guess, jnp.where(number == 0, zero, zero + 1), length_s)
+        is_known = jnp.where(number == 0, zero, zero + 1)
+        here = _GaussNewtonPass(place, model, guess, is_known, length_s)
         return number + 1, *here.run(params, blocks, count)
 
     return jax.lax.while_loop(is_unfinished, over_pass, (jnp.asarray(0), guess, solution))[2]
@@ -200,8 +336,8 @@ class _Guess(NamedTuple):
         """Return the unknowns from `GYRO` on."""
         return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
-    def changed(self, unknown: Array, is_known: Scalar) -> "_Guess":
-        """Return the guess with the changes that a pass finds; ``is_known`` as of `_Pass`."""
+    def corrected(self, unknown: Array, is_known: Scalar) -> "_Guess":
+        """Return the guess with the changes that a pass finds; ``is_known`` is that of the pass."""
         real, imaginary, kx, ky, *errors = unknown
         real, (cos, sin) = is_known + real, self.heading
         cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
@@ -212,7 +348,7 @@ class _Guess(NamedTuple):
         return _Guess(level, (cos / norm, sin / norm), *jax.tree.unflatten(structure, later))
 
 
-class _Sums(NamedTuple):
+class _PassSums(NamedTuple):
     """A pass up to a block; complex numbers stand for the level axes of l."""
 
     body: Quat  # C_b^l at the end of the block
@@ -221,16 +357,16 @@ class _Sums(NamedTuple):
     # (unknowns + 1, 2) estimates of w, of the drifts and of the surge for each column, and
     # last for the measurements
     walk: tuple[Array, ...]
-    variance: whitening.Covariance  # their covariance, per axis
+    variance: Covariance  # their covariance, per axis
     # Rows of the upper triangle of N, with the measurements as last column
     normal: tuple[Array, ...]
 
 
-class _Pass(NamedTuple):
+class _GaussNewtonPass(NamedTuple):
     """A pass over the blocks; ``is_known`` is 0 in the first, where c is a free number, else 1."""
 
     place: Place
-    noise: whitening.NoiseModel
+    noise: NoiseModel
     guess: _Guess
     is_known: Scalar
     length_s: float
@@ -238,7 +374,7 @@ class _Pass(NamedTuple):
     def run(self, params: FitParams, blocks: Array, count: Count) -> tuple[_Guess, Solution]:
         """Return the next guess and the solution."""
 
-        def over_block(j: Count, sums: _Sums) -> _Sums:
+        def over_block(j: Count, sums: _PassSums) -> _PassSums:
             row = jax.lax.dynamic_index_in_dim(blocks, j, keepdims=False)
             return self.add_block(sums, Block.of_row(row), j)
 
@@ -246,18 +382,18 @@ class _Pass(NamedTuple):
         amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
         sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
         prior = jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
-        unknown, covariance, square, change = _solve_normal(end.normal, self.guess, prior)
-        later = self.guess.changed(unknown, self.is_known)
+        unknown, covariance, square, change = _solve_normal_equations(end.normal, self.guess, prior)
+        later = self.guess.corrected(unknown, self.is_known)
 
-        rotation, in_l = _end_error(end, unknown, covariance)
+        rotation, in_l = _final_attitude_error(end, unknown, covariance)
         ratio = jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
         data_s = jnp.asarray(count, square.dtype) * self.length_s
-        level, heading = end.variance[0, 0], whitening.heading_variance(params.noise, data_s)
+        level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
         in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
         cos, sin = later.heading[0], -later.heading[1]
         levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
         return later, Solution(
-            attitude=rotations.multiply(rotation_about_vertical(sin, cos), levelled),
+            attitude=rotations.multiply(rotations.rotation_about_vertical(sin, cos), levelled),
             carried=rotations.multiply(rotations.conjugate(self.guess.level), end.body),
             gyro=later.gyro,
             gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
@@ -267,12 +403,12 @@ class _Pass(NamedTuple):
             change=change,
         )
 
-    def start(self) -> _Sums:
+    def start(self) -> _PassSums:
         """Return the sums before the first block."""
         zero = jnp.zeros_like(self.is_known)
         none = Vec3(zero, zero, zero)
         n = GYRO + 3 * (len(self.guess.gyro) + len(self.guess.others))
-        return _Sums(
+        return _PassSums(
             self.guess.level,
             (none,) * (3 * len(self.guess.gyro)),
             (none,) * (3 * len(self.guess.others[1:])),
@@ -291,16 +427,16 @@ class _Pass(NamedTuple):
         real, imaginary = self.guess.heading
         return real * east - imaginary * north, imaginary * east + real * north, 1 - cos**2 * versed
 
-    def add_block(self, sums: _Sums, block: Block, number: Count) -> _Sums:
+    def add_block(self, sums: _PassSums, block: Block, number: Count) -> _PassSums:
         """Return the sums with one more block."""
         guess, h = self.guess, self.length_s
         accel_bias, *lever = guess.others
-        errors = block.by_gyro_errors(len(guess.gyro), h)
+        errors = block.rotations_by_gyro_errors(len(guess.gyro), h)
         estimate = combine(errors, guess.gyro)
         dv = add(block.dv, scale(-0.5, cross(estimate, block.dv)))
         dv = add(dv, scale(-1.0, combine(errors[:3], (accel_bias,))))
         measured = rotations.rotate(sums.body, dv)
-        body = rotations.multiply(sums.body, block.without(estimate))
+        body = rotations.multiply(sums.body, block.turn_without(estimate))
 
         gx, gy, up = self.gravity_turn(number)
         gh, zero = self.place.gravity * h, jnp.zeros_like(up)
@@ -326,14 +462,15 @@ class _Pass(NamedTuple):
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
         about_up = rotations.rotate(sums.body, block.angle).z
-        step, gain, s, variance = whitening.predict(self.noise, sums.variance, about_up)
+        step, gain, s, variance = predict_noise(self.noise, sums.variance, about_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
         if lever:  # its velocity at the first sample is unknown
             residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
         for state, estimates in zip(self.noise.states, sums.walk, strict=True):
             residual = residual - state.seen * estimates
         walk = tuple(
-            sum(times(f, sums.walk[j]) for j, f in row.items()) + times(k, residual)
+            sum(multiply_pairs(f, sums.walk[j]) for j, f in row.items())
+            + multiply_pairs(k, residual)
             for row, k in zip(step, gain, strict=True)
         )
         # Row by row: what a row needs stays in the registers.
@@ -342,7 +479,7 @@ class _Pass(NamedTuple):
             for i, (old, row) in enumerate(zip(sums.normal, residual, strict=True))
         )
         turned = tuple(add(a, b) for a, b in zip(sums.turned, rotated, strict=True))
-        return _Sums(body, turned, swung, walk, variance, normal)
+        return _PassSums(body, turned, swung, walk, variance, normal)
 
 
 def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
@@ -350,7 +487,7 @@ def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
     return reduce(add, map(scale, jax.tree.leaves(factors), vectors))
 
 
-def _solve_normal(
+def _solve_normal_equations(
     normal: tuple[Array, ...], guess: _Guess, sigmas: Array
 ) -> tuple[Array, Array, Scalar, Scalar]:
     """Return the changes of the unknowns, their covariance, the sum of squared residuals.
@@ -369,7 +506,7 @@ def _solve_normal(
     size = jnp.where(is_free, 1 / jnp.sqrt(information), 0.0)
     scaled = matrix * size[:, None] * size[None, :]
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
-    covariance = _inverse(scaled) * size[:, None] * size[None, :]
+    covariance = invert_positive_definite(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole error, of which the guess has a part.
     pull = right - belief * jnp.pad(guess.errors(), (GYRO, 0))
     unknown = covariance @ pull
@@ -377,25 +514,7 @@ def _solve_normal(
     return unknown, covariance, whole[n, n] - unknown @ right, length
 
 
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a symmetric positive definite matrix of unit diagonal.
-
-    By Gauss and Jordan, which needs no pivots here. For `jnp.linalg.inv` XLA calls LAPACK, from
-    the threads of several devices at once, and has been seen to wait for ever.
-    """
-    places = jnp.arange(len(matrix))
-
-    def eliminate(k: Count, a: Array) -> Array:
-        is_pivot = places == k
-        row = jnp.where(is_pivot, 1.0, a[k]) / a[k, k]
-        column = jnp.where(is_pivot, 0.0, a[:, k])
-        rest = jnp.where(is_pivot[None, :], 0.0, a) - column[:, None] * row[None, :]
-        return jnp.where(is_pivot[:, None], row[None, :], rest)
-
-    return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
-
-
-def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
+def _final_attitude_error(end: _PassSums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
     """Return the rotation in l by which the carried attitude is off, and the error's covariance.
 
     That of the noise which nothing shows is left out.
@@ -412,7 +531,7 @@ def _end_error(end: _Sums, unknown: Array, covariance: Array) -> tuple[Vec3, Arr
     return Vec3(*rotation), with_heading @ covariance @ with_heading.T
 
 
-def _level(force: Vec3) -> Quat:
+def _level_attitude(force: Vec3) -> Quat:
     """Return the least rotation that turns a specific force upwards."""
     length = jnp.sqrt(dot(force, force))
     x, y, w = force.x / length, force.y / length, 1 + force.z / length

@@ -1,11 +1,17 @@
-"""Turns of the base in whole samples, from their keys in [motion], and the rules between these."""
+"""The motion of a simulated base: its turns in whole samples, or its attitude from a file."""
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from sinsjax.errors import InputError
 from sinsjax.methods.registry import METHODS
-from sinsjax.study.schema import TURN_KEYS, MotionSection
+from sinsjax.records.reference import Reference, read_reference
+from sinsjax.study.schema import TURN_KEYS, EarthSection, MotionSection
 from sinsjax.study.study import Study
 from sinsjax.units import DEG
 from sinsjax.value_types import ROUNDING, otherwise
@@ -106,7 +112,7 @@ def check_turns(study: Study) -> None:
             study.refuse(*error.args)
 
 
-def useless_methods(study: Study) -> Iterator[str]:
+def methods_not_using_turns(study: Study) -> Iterator[str]:
     """Yield one line per method of the study that cannot use its turns."""
     useless, end_s = dict[str, str](), data_end_s(study)
     for point in _turned_points(study, "method"):
@@ -119,3 +125,45 @@ def useless_methods(study: Study) -> Iterator[str]:
     for name, few in useless.items():
         text = f"{name} does not average gyro biases over the turns of a base{few} (use {good})"
         yield f"[alignment] method: {text}"
+
+
+_LONGEST_STEP = 5.0
+"""Longest step of time without a gap, in medians of all steps."""
+
+
+def read_attitude(study: Study) -> Reference | None:
+    """Return the attitude of the base over time, if the study has a file of it.
+
+    Raises:
+        InputError: the file cannot be read, is unsorted, has gaps or does not cover the data.
+    """
+    if not (name := study.motion and study.motion.attitude_file):
+        return None
+    attitude = read_reference(name)
+    time_s, end_s = attitude.time_s, data_end_s(study)
+    if time_s[0] > 0 or time_s[-1] < end_s * (1 - 1e-9):
+        text = f"covers {time_s[0]:.12g} to {time_s[-1]:.12g} s, but the study needs 0 to"
+        raise InputError(f"{name}: {text} {end_s:.12g} s (shorten the runs, or give a longer file)")
+    steps = np.diff(time_s)
+    if steps.max() > _LONGEST_STEP * np.median(steps):
+        at = int(steps.argmax())
+        text = f"has a gap of {steps[at]:.6g} s after {time_s[at]:.12g} s"
+        raise InputError(f"{name}: {text} (fill it in; other steps are {np.median(steps):.6g} s)")
+    return attitude
+
+
+def attitude_digest(study: Study) -> str | None:
+    """Return a digest of the file of the base's attitude, as a part of the study's identity."""
+    name = study.motion.attitude_file if study.motion else None
+    try:
+        return name and hashlib.sha256(Path(name).read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror}") from None
+
+
+def refuse_drawn_motion(study: Study) -> None:
+    """Refuse a drawn place or motion together with a file of the attitude."""
+    for key in study.drawn_keys if study.gives("attitude_file") else ():
+        if key in EarthSection.model_fields or key in MotionSection.model_fields:
+            text = "cannot be drawn with attitude_file in [motion]"
+            study.refuse(key, f"{text} (give it one value, or sweep it)")

@@ -1,17 +1,97 @@
-"""Records and reference attitudes from arrays in memory: NumPy, pandas, Polars, Arrow."""
+"""Records from each source: delimited text or Parquet, PSINS text, and arrays in memory."""
 
+import math
 from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from sinsjax.errors import InputError
-from sinsjax.messages import first_error_line
-from sinsjax.records.layout import RecordLayout, check_layout
-from sinsjax.records.reader import Table, make_table
+from sinsjax.messages import first_error_line, shorten
+from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout, check_layout, resolve_rate
+from sinsjax.records.reader import (
+    Table,
+    data_lines,
+    is_number,
+    make_table,
+    open_log,
+    open_text,
+    read_lines,
+)
 from sinsjax.records.reference import Reference, StoredRecord, reference_from_table
 from sinsjax.records.tabular import record_from_table
+from sinsjax.units import ARCSEC, micro_g
+
+
+def read_record(path: str | Path, layout: RecordLayout) -> Record:
+    r"""Read a record in the layout's format: "psins", "csv" (delimited text) or "parquet".
+
+    Examples:
+        >>> from pathlib import Path
+        >>> from sinsjax.records import RecordLayout
+        >>> _ = Path("log.csv").write_text("gx,gy,gz,ax,ay,az\n" + 200 * "0,0,0,0,0,0.098\n")
+        >>> columns = {"gyro_columns": ("gx", "gy", "gz"), "accel_columns": ("ax", "ay", "az")}
+        >>> sinsjax.read_record("log.csv", RecordLayout("csv", **columns, rate_hz=100.0)).dv.shape
+        (200, 3)
+    """
+    if layout.format == "psins":
+        return read_psins(path, layout)
+    check_layout(layout, str(path))
+    return record_from_table(layout, open_log(path, layout.columns, layout.skip_rows))
+
+
+_COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
+
+
+def read_psins(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
+    """Read a PSINS SIMU log: three header lines, then six integer counts per sample.
+
+    The format of the PSINS toolbox (G. Yan, NWPU). Lines that start with % are comments. Header:
+    pitch, roll, yaw (deg), VE, VN, VU (m/s); latitude, longitude (deg), height (m), t0 (s),
+    interval (ms), g (m/s^2); scale factors, three gyro (arcsec) and three accelerometer (ug*s, in
+    that g). A latitude or height of nan is unknown. Of the layout, axes_order and rate_hz are used;
+    the rate must agree with the header's interval.
+    """
+    check_layout(layout, str(path))
+    lines = [*islice(data_lines(read_lines(path)), 3)]
+
+    def refuse(number: int, problem: str) -> InputError:
+        return InputError(f"{path}: row {lines[number].row}: header line {number + 1}: {problem}")
+
+    hint = "not PSINS text? `sinsjax init record --from LOG` writes a [record] for others"
+    for number, line in enumerate(lines):
+        words = line.text.split()
+        if len(lines) < 3 or len(words) != 6 or not all(map(is_number, words)):
+            raise refuse(number, f"must have 6 numbers: {shorten(line.text, 60)!r} ({hint})")
+    _, place, scale = (np.array([*map(float, line.text.split())]) for line in lines)
+    latitude, _, height, t0, interval_ms, gravity = place.tolist()
+    # Lines in the wrong order, or a missing one, are detected here.
+    is_clock = 0 < interval_ms < math.inf and math.isfinite(t0)
+    if not (is_clock and 9 < gravity < 11 and not abs(latitude) >= 90):
+        raise refuse(
+            1,
+            f"latitude {latitude:g} deg, t0 {t0:g} s, interval {interval_ms:g} ms and g"
+            f" {gravity:g} m/s^2 are no place and clock (a 3-line header must precede the samples)",
+        )
+    if not (np.isfinite(scale) & (scale > 0)).all():
+        raise refuse(2, f"scale factors must be positive and finite, not {scale.min():g}")
+    layout = layout._replace(
+        gyro_columns=_COUNT_COLUMNS[:3],
+        accel_columns=_COUNT_COLUMNS[3:],
+        gyro_scale=tuple(scale[:3] * ARCSEC),
+        accel_scale=tuple(scale[3:] * micro_g(gravity)),
+        rate_hz=resolve_rate(1e3 / interval_ms, layout, 0.0, f"{path}: row {lines[1].row}"),
+    )
+    record = record_from_table(layout, open_text(path, _COUNT_COLUMNS, skip_rows=lines[2].row))
+    return record._replace(
+        t0_s=t0,
+        latitude_deg=None if math.isnan(latitude) else latitude,
+        height_m=None if math.isnan(height) else height,
+        gravity_m_per_s2=gravity,
+    )
 
 
 def record_from_arrays(  # noqa: PLR0913

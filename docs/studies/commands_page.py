@@ -1,4 +1,4 @@
-"""The page of all commands: ``python -m sinsjax.cli.commands_page > docs/commands.md``."""
+"""Render docs/commands.md: ``python -m docs.studies.commands_page > docs/commands.md``."""
 
 from collections import Counter
 from typing import Any

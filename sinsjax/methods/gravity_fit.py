@@ -2,8 +2,9 @@
 
 The samples of a block of about a second are summed in the body frame at its start. At a record
 time the rotation and the velocity increment of the block are stored, 136 bytes per second of a run,
-and when a fit is due all blocks so far are fitted, see `fit`: after 4, 8, 16, ... blocks, at
-reported times and at the end. In between the gyros carry the attitude, without the biases found.
+and when a fit is due all blocks so far are fitted, see `gravity_least_squares`: after 4, 8, 16, ...
+blocks, at reported times and at the end. In between the gyros carry the attitude, without the
+biases found.
 """
 
 from collections.abc import Callable
@@ -20,8 +21,16 @@ from sinsjax.maths import rotations
 from sinsjax.maths.algebra import add, dot, scale, select_tree
 from sinsjax.methods import method
 from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
-from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
-from sinsjax.methods.gravity_fit.noise import Drift, SensorNoise
+from sinsjax.methods.gravity_least_squares import (
+    NUMBERS,
+    Block,
+    Drift,
+    FitParams,
+    SensorNoise,
+    Solution,
+    combine,
+    solve,
+)
 from sinsjax.types import Array, Count, Flag, Navigation, Quat, Sample, Scalar, Vec3
 from sinsjax.units import DEG_PER_H, si_factor
 from sinsjax.value_types import (
@@ -58,7 +67,7 @@ class FitState(NamedTuple):
     rate: Vec3
     earth: Vec3  # rotation rate of the Earth in n, rad/s
     count: Scalar  # samples so far
-    blocks: Array  # (most, `NUMBERS`) ended blocks, each a `fit.Block`
+    blocks: Array  # (most, `NUMBERS`) ended blocks, each a `Block`
     solution: Solution  # of the last fit, carried to the beginning of the block
 
 
@@ -93,8 +102,8 @@ def build(options: method.Options) -> method.Program:
         block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
         place = jnp.minimum(number // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
-        errors = block.by_gyro_errors(len(solution.gyro), length_s)
-        corrected = block.without(combine(errors, solution.gyro))
+        errors = block.rotations_by_gyro_errors(len(solution.gyro), length_s)
+        corrected = block.turn_without(combine(errors, solution.gyro))
         zero = jnp.zeros_like(state.count)
         begun = (
             Quat(zero + 1, zero, zero, zero),
@@ -261,25 +270,17 @@ def _bias_sigma_deg_per_h(axis: int, found: Solution) -> Any:
     return np.sqrt(np.asarray(found.gyro_bias_variance[axis])) / DEG_PER_H
 
 
+_DOUBTS = {
+    "misfit": "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3"
+    " is a doubt",
+    "prior_ratio": "largest sensor error or lever arm that the fit finds, over its 1 sigma in"
+    " [gravity_fit]; more than 3 is a doubt",
+    "change": "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a"
+    " doubt, the fit has not converged",
+}
+
 COLUMNS = (
-    _column(
-        "misfit",
-        "root mean square of the fit's residuals over their sigma; 1 is expected, more than 3 is a"
-        " doubt",
-        attrgetter("misfit"),
-    ),
-    _column(
-        "prior_ratio",
-        "largest sensor error or lever arm that the fit finds, over its 1 sigma in [gravity_fit];"
-        " more than 3 is a doubt",
-        attrgetter("prior_ratio"),
-    ),
-    _column(
-        "change",
-        "change of the unknowns in the last pass of the fit, in sigma; more than 1 is a doubt, the"
-        " fit has not converged",
-        attrgetter("change"),
-    ),
+    *(_column(name, meaning, attrgetter(name)) for name, meaning in _DOUBTS.items()),
     *(
         _column(f"gyro_bias_{name}{suffix}_deg_per_h", meaning.format(name), partial(read, axis))
         for suffix, meaning, read in (
@@ -291,7 +292,7 @@ COLUMNS = (
 )
 
 
-def _check(study: method.StudyKeys) -> None:
+def _check_beliefs(study: method.StudyKeys) -> None:
     """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
     required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
     simulated = (*_NOISE, *(key for noise in _NOISE.values() for key in noise.white))
@@ -317,13 +318,13 @@ GRAVITY_FIT = method.Method(
     name="gravity_fit",
     summary="least squares of the turn of gravity with the sensor biases as unknowns: for a base"
     " that is turned",
-    source="`methods.gravity_fit.fit`",
+    source="`methods.gravity_least_squares`",
     sections={"gravity_fit": GravityFitSection},
     build=build,
     params=params,
     needs_start=False,
     turning="any",
-    rules=(_check,),
+    rules=(_check_beliefs,),
     columns=COLUMNS,
     step_s=10e-9,
     compile_s=8.5,

@@ -1,1 +1,0 @@
-"""Alignment by the turn of gravity in inertial space, with sensor biases as unknowns."""
