@@ -100,6 +100,9 @@ def add_program(study: Study, name: str) -> Study:
     tables = study_to_tables(study)
     tables["study"]["external"] = [name]
     axes, cases = dict(tables.get("axes", {})), list(tables.get("cases", ()))
+    if any(isinstance(axis, dict) and "method" in axis for axis in axes.values()):
+        text = "zips methods with other keys (give them as [[cases]])"
+        raise InputError(f"{study.name}: [axes]: {text}")
     if any("method" in case for case in cases):
         first: dict[Any, Any] = {}  # the first case of each condition
         for case in cases:
@@ -110,11 +113,8 @@ def add_program(study: Study, name: str) -> Study:
         tables["cases"] = cases
     elif "method" in axes:
         axes["method"] = [*axes["method"], name]
-    elif "method" in tables["alignment"]:
-        axes = {"method": [tables["alignment"].pop("method"), name], **axes}
     else:
-        text = "zips methods with other keys (give them as [[cases]])"
-        raise InputError(f"{study.name}: [axes]: {text}")
+        axes = {"method": [tables["alignment"].pop("method"), name], **axes}
     return study_from_dict(tables | {"axes": axes}, study.name)
 
 

@@ -32,7 +32,7 @@ from sinsjax.execution.tables import TableBuilder, make_table, replace_column, s
 from sinsjax.execution.tasks import Job
 from sinsjax.maths.rotations import correct, misalignment
 from sinsjax.messages import format_count, shorten, to_one_line
-from sinsjax.methods.method import unknown_covariance
+from sinsjax.methods.method import AttitudeCovariance
 from sinsjax.platform import runtime
 from sinsjax.platform.files import read_regular_file
 from sinsjax.study.load import fingerprint
@@ -166,7 +166,7 @@ def _read_results(path: Path, runs: ProgramRuns, frame: str) -> tuple[GivenAttit
     present |= ~np.logical_or.accumulate(present) & present[:-1].any(axis=0)
     present[-1] = True
     *q, uu = (np.append(part, np.nan)[row] for part in (*attitude, sigma**2))
-    covariance = unknown_covariance(uu)._replace(uu=uu)
+    covariance = AttitudeCovariance(*[np.full_like(uu, np.nan)] * 5, uu)
     return GivenAttitudes(present, Quat(*q), covariance), has_quaternions
 
 
