@@ -100,7 +100,8 @@ def export_study(
             raise InputError(f"{option}: {value!r} is not one of {', '.join(choices)}")
     study = load_study(study)
     runs = ProgramRuns(study.model_copy(update={"stop_when": None, "tune": None}))
-    out, digests = Path(directory), {}
+    out = Path(directory)
+    digests: dict[str, str] = {}
     check_directory(out)
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: is not empty (give another directory, or delete it)")

@@ -68,7 +68,7 @@ class ProgramRuns:
         """Yield the program's runs by environment, and the condition of each of their variants."""
         require_floor(self.study)
         methods, (name,) = self.study.values("method"), self.study.study.external or ()
-        program = [i for i, method in enumerate(methods) if method == name]
+        program = [i for i, one in enumerate(methods) if one == name]
         condition = dict(zip(program, self._conditions(self.study, program), strict=True))
         scenario = Scenario(self.study, curves=False)
         for number, ids in enumerate(scenario.variant_ids):
