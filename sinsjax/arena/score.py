@@ -166,7 +166,8 @@ def _read_results(path: Path, runs: ProgramRuns, frame: str) -> tuple[GivenAttit
     present |= ~np.logical_or.accumulate(present) & present[:-1].any(axis=0)
     present[-1] = True
     *q, uu = (np.append(part, np.nan)[row] for part in (*attitude, sigma**2))
-    covariance = AttitudeCovariance(*[np.full_like(uu, np.nan)] * 5, uu)
+    nan = np.full_like(uu, np.nan)
+    covariance = AttitudeCovariance(nan, nan, nan, nan, nan, uu)
     return GivenAttitudes(present, Quat(*q), covariance), has_quaternions
 
 
