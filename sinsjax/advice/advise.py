@@ -208,7 +208,7 @@ class Advice:
 
     Examples:
         >>> sinsjax.advise(imu="kvh1775", latitude_deg=48.0)
-        Advice for kvh1775: 68.2 arcmin rms after 300 s with gravity_fit
+        Advice for kvh1775: 67.8 arcmin rms after 300 s with gravity_fit
     """
 
     sheet: Sheet
