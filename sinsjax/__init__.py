@@ -43,9 +43,8 @@ from sinsjax.platform import runtime
 if TYPE_CHECKING:
     from sinsjax.advice.advise import Advice, advise
     from sinsjax.analysis import summarise
-    from sinsjax.arena.export import export_study
+    from sinsjax.arena.export import export_study, simulated_record
     from sinsjax.arena.score import score_results
-    from sinsjax.arena.simulated_record import simulated_record
     from sinsjax.bounds.turn_planner import TurnChoice, plan_turns
     from sinsjax.engine.one_run import one_run
     from sinsjax.errors import InputError, StudyWarning
@@ -81,11 +80,10 @@ __all__ = [
 _HOMES = {
     "advice.advise": ("Advice", "advise"),
     "analysis": ("summarise",),
-    "arena.export": ("export_study",),
+    "arena.export": ("export_study", "simulated_record"),
     "arena.score": ("score_results",),
     "execution.information": ("information_bound",),
     "bounds.turn_planner": ("TurnChoice", "plan_turns"),
-    "arena.simulated_record": ("simulated_record",),
     "engine.one_run": ("one_run",),
     "errors": ("InputError", "StudyWarning"),
     "execution.directory": ("read_manifest",),

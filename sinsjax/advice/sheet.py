@@ -1,9 +1,9 @@
 """The sheet of an IMU: a study without an alignment, read, checked and completed."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -15,13 +15,14 @@ from sinsjax.study import files
 from sinsjax.study.changes import apply_changes
 from sinsjax.study.keys import SECTION_OF, TomlTable, unknown_key_error
 from sinsjax.study.load import SHEET_TABLES, study_from_dict
-from sinsjax.study.schema import AdviseSection
+from sinsjax.study.schema import AdviseSection, MotionSection
 from sinsjax.study.sweep import correctable_errors
 from sinsjax.units import DEG_PER_H, DEG_PER_SQRT_H, micro_g
 
 TIMES_S = (60.0, 120.0, 300.0, 600.0, 1800.0)
 """Times at which the heading is always given, s."""
 
+AXES = ("pitch", "roll", "yaw")
 _ROCKING = {
     **{"pitch_amplitude_deg": 1.8, "roll_amplitude_deg": 2.4, "yaw_amplitude_deg": 2.8},
     **{"pitch_period_s": 6.0, "roll_period_s": 8.0, "yaw_period_s": 10.0},
@@ -39,44 +40,30 @@ CONSTANT_KEYS = (
 )
 """Keys of errors that stay constant; a fixed value counts as 1 sigma."""
 
-
-class _Quantity(NamedTuple):
-    """What data sheets call a quantity, and the factors from their units to that of its key."""
-
-    names: tuple[str, ...]
-    factors: Mapping[str, float]
-
-
 _BIAS = ("bias", "turn_on", "repeatability", "offset")
 _WHITE = ("arw", "vrw", "random_walk", "noise", "sqrt_")
 _RATE = {"rad_per_s": 1 / DEG_PER_H, "deg_per_s": 3600.0}
-_ACCELERATION = {"m_per_s2": 1 / micro_g(), "mg": 1e3}
-_QUANTITIES = {  # the first that fits decides
-    "gyro_instability_deg_per_h": _Quantity(("instability",), _RATE),
-    "gyro_rrw_deg_per_h_per_sqrt_h": _Quantity(("rrw", "rate_random_walk"), {}),
-    "gyro_arw_deg_per_sqrt_h": _Quantity(
-        _WHITE,
-        {
-            "rad_per_s_per_sqrt_hz": 1 / DEG_PER_SQRT_H,
-            "rad_per_sqrt_s": 1 / DEG_PER_SQRT_H,
-            "deg_per_s_per_sqrt_hz": 60.0,
-            "deg_per_h_per_sqrt_hz": 1 / 60,
-            "deg_per_sqrt_s": 60.0,
-        },
-    ),
-    "gyro_bias_deg_per_h": _Quantity(_BIAS, _RATE),
-    "accel_instability_ug": _Quantity(("instability",), _ACCELERATION),
-    "accel_rrw_ug_per_sqrt_h": _Quantity(("rrw", "acceleration_random_walk"), {}),
-    "accel_vrw_ug_per_sqrt_hz": _Quantity(
-        _WHITE,
-        {
-            "m_per_s2_per_sqrt_hz": 1 / micro_g(),
-            "m_per_s_per_sqrt_h": 1 / (60 * micro_g()),
-            "mg_per_sqrt_hz": 1e3,
-        },
-    ),
-    "accel_bias_ug": _Quantity(_BIAS, _ACCELERATION),
+_RATE_NOISE = {
+    **dict.fromkeys(("rad_per_s_per_sqrt_hz", "rad_per_sqrt_s"), 1 / DEG_PER_SQRT_H),
+    **dict.fromkeys(("deg_per_s_per_sqrt_hz", "deg_per_sqrt_s"), 60.0),
+    "deg_per_h_per_sqrt_hz": 1 / 60,
 }
+_ACCELERATION = {"m_per_s2": 1 / micro_g(), "mg": 1e3}
+_ACCELERATION_NOISE = {
+    **{"m_per_s2_per_sqrt_hz": 1 / micro_g(), "mg_per_sqrt_hz": 1e3},
+    "m_per_s_per_sqrt_h": 1 / (60 * micro_g()),
+}
+_QUANTITIES: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "gyro_instability_deg_per_h": (("instability",), _RATE),
+    "gyro_rrw_deg_per_h_per_sqrt_h": (("rrw", "rate_random_walk"), {}),
+    "gyro_arw_deg_per_sqrt_h": (_WHITE, _RATE_NOISE),
+    "gyro_bias_deg_per_h": (_BIAS, _RATE),
+    "accel_instability_ug": (("instability",), _ACCELERATION),
+    "accel_rrw_ug_per_sqrt_h": (("rrw", "acceleration_random_walk"), {}),
+    "accel_vrw_ug_per_sqrt_hz": (_WHITE, _ACCELERATION_NOISE),
+    "accel_bias_ug": (_BIAS, _ACCELERATION),
+}
+"""What data sheets call a quantity, and factors to the unit of its key; the first fit decides."""
 
 
 @dataclass(frozen=True)
@@ -121,15 +108,31 @@ class Sheet:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Values of the sheet that do not fit each other, a line each."""
-        return tuple(_iter_doubts(self))
+        keys = "gyro_bias_deg_per_h", "gyro_instability_deg_per_h", "gyro_arw_deg_per_sqrt_h"
+        bias, drift, walk = map(self.sigma, keys)
+        scale, name = (drift, "instability") if drift else (bias, "bias")
+        lines = []
+        if missing := [key for key in CONSTANT_KEYS[:2] if not self.sigma(key)]:
+            lines.append(
+                f"no turn-on bias ({' and '.join(missing)} in [drawn]): the heading is that of"
+                " perfectly calibrated sensors"
+            )
+        if 0 < bias < 0.5 * drift:
+            lines.append(
+                f"the turn-on bias of the gyros, {bias:g} deg/h, is below their instability,"
+                f" {drift:g} deg/h; it is usually 1 to 100 times as large ({bias:g} deg/s are"
+                f" {3600 * bias:g} deg/h)"
+            )
+        if walk > 3 * scale > 0:
+            lines.append(
+                f"the angle random walk, {walk:g} deg/sqrt(h), is {walk / scale:.3g} times the"
+                f" {name} of the gyros in deg/h, usually 0.02 to 1 times (deg/h/sqrt(Hz) are"
+                " divided by 60)"
+            )
+        return tuple(lines)
 
     def study_tables(self, sections: Mapping[str, Any], **settings: Any) -> TomlTable:
-        """Return the tables of a study of the sheet with a method.
-
-        Args:
-            sections: further sections, by name.
-            settings: keys of [study] that replace those of the sheet.
-        """
+        """Return the tables of a study with more sections, by name, and other keys of [study]."""
         tables = self.tables | dict(sections) | {"study": self.tables["study"] | settings}
         return {name: table for name, table in tables.items() if table}
 
@@ -212,8 +215,14 @@ def _convert_key(key: str) -> str:
 
 def _complete(name: str, data: TomlTable) -> Sheet:
     """Check the tables and fill in what a study needs."""
-    given = data.get("study", {})
-    asked = _read_asked({"time_s": given.get("duration_s", 300.0)} | data.get("advise", {}))
+    given, fields = data.get("study", {}), AdviseSection.model_fields
+    try:
+        wishes = {"time_s": given.get("duration_s", 300.0)} | data.get("advise", {})
+        asked = AdviseSection.model_validate(wishes)
+    except ValidationError as error:
+        lines = {str(one["loc"][0]): explain_error(one) for one in correctable_errors(error)}
+        lines |= {key: unknown_key_error(key, fields) for key in lines if key not in fields}
+        raise InputError(*(f"[advise] {key}: {text}" for key, text in lines.items())) from None
     if not data.get("earth"):
         raise InputError("[earth] latitude_deg: required, deg (--latitude)")
     study = {"name": name.rpartition("/")[2].removesuffix(".toml"), "draws": 1024, "rate_hz": 100.0}
@@ -234,6 +243,8 @@ def _complete(name: str, data: TomlTable) -> Sheet:
             raise InputError(f"[drawn] {key}: must have a fixed value in a sheet")
         if key in CONSTANT_KEYS and (law.get("normal") or [1.0])[0] != 0:
             raise InputError(f"[drawn] {key}: must be normal = [0.0, SIGMA] in a sheet")
+    if np.any(motion.get("surge_m_per_s")):
+        motion.setdefault("surge_time_s", MotionSection.model_fields["surge_time_s"].default)
     for key in CONSTANT_KEYS:
         if np.any(fixed := sensors.pop(key, 0.0)) and key not in drawn:
             drawn[key] = {"normal": [0.0, rms(fixed)]}
@@ -244,41 +255,6 @@ def _complete(name: str, data: TomlTable) -> Sheet:
         text = "swings the lever arm, which no method here knows (lever_arm_m = 0 leaves it out)"
         raise InputError(f"[motion] vibration_deg_per_h_rms: {text}")
     return sheet
-
-
-def _read_asked(table: Any) -> AdviseSection:
-    try:
-        return AdviseSection.model_validate(table)
-    except ValidationError as error:
-        lines, fields = [], AdviseSection.model_fields
-        for one in correctable_errors(error):
-            key = str(one["loc"][0])
-            text = explain_error(one) if key in fields else unknown_key_error(key, fields)
-            lines.append(f"[advise] {key}: {text}")
-        raise InputError(*lines) from None
-
-
-def _iter_doubts(sheet: Sheet) -> Iterator[str]:
-    keys = "gyro_bias_deg_per_h", "gyro_instability_deg_per_h", "gyro_arw_deg_per_sqrt_h"
-    bias, drift, walk = map(sheet.sigma, keys)
-    missing = [key for key in CONSTANT_KEYS[:2] if not sheet.sigma(key)]
-    if missing:
-        yield (
-            f"no turn-on bias ({' and '.join(missing)} in [drawn]): the heading is that of"
-            " perfectly calibrated sensors"
-        )
-    if 0 < bias < 0.5 * drift:
-        yield (
-            f"the turn-on bias of the gyros, {bias:g} deg/h, is below their instability, {drift:g}"
-            f" deg/h; it is usually 1 to 100 times as large ({bias:g} deg/s are {3600 * bias:g}"
-            " deg/h)"
-        )
-    if walk > 3 * (scale := drift or bias) > 0:
-        yield (
-            f"the angle random walk, {walk:g} deg/sqrt(h), is {walk / scale:.3g} times the"
-            f" {'instability' if drift else 'bias'} of the gyros in deg/h, usually 0.02 to 1 times"
-            " (deg/h/sqrt(Hz) are divided by 60)"
-        )
 
 
 def rms(value: Any) -> float:

@@ -67,8 +67,8 @@ def advise(
     Example: sinsjax advise --imu kvh1775 --latitude 48 --time 300 --motion rocking
     """
     from sinsjax.advice.advise import advise as advise_on
+    from sinsjax.advice.advise import describe_advice
     from sinsjax.advice.sheet import shipped_sheets
-    from sinsjax.advice.text import describe_advice
     from sinsjax.study.changes import parse_changes
 
     console = plain_console()

@@ -7,7 +7,7 @@ import pytest
 from support.refusals import refusal_line
 from support.studies import add_true_reference, small_study, with_paper_values
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.execution import run
 from sinsjax.study.load import study_from_dict
 from sinsjax.study.study import Study

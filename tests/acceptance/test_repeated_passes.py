@@ -8,7 +8,7 @@ import pytest
 from support.batches import batch_of, batches_of
 from support.studies import BASE, small_study, swing_deg, with_paper_values
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.errors import InputError
 from sinsjax.execution import run as study_run
 from sinsjax.records import Reference

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from sinsjax.arena.simulated_record import simulated_records
+from sinsjax.arena.export import simulated_records
 from sinsjax.engine.batch import Chunks, map_in_threads
 from sinsjax.engine.scenario import Scenario
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sinsjax.arena.simulated_record import simulated_record
+from sinsjax.arena.export import simulated_record
 from sinsjax.methods.registry import METHODS
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
