@@ -54,6 +54,7 @@ def with_paper_values(tables):
     varied = (axes, *axes.values(), *(cases if isinstance(cases, list) else []))  # some are zips
     varied = [table for table in varied if isinstance(table, dict)]
     lists = [table["method"] for table in varied if "method" in table]
+    lists = [of for of in lists if not isinstance(of, dict)]  # a zip of that name
     methods = [name for of in lists for name in (of if isinstance(of, list) else [of])]
     methods = methods or [alignment.get("method", "kalman5")]
     if not any("filter" in METHODS[name].sections for name in methods if name in METHODS):

@@ -214,5 +214,5 @@ def test_study_without_gradient_is_refused_before_running(tmp_path: Path) -> Non
     variables = {"reset_times_s": [linear(1.0, 3.0)]}
     study = tuned(variables, {"resets": resets}, searches=["sobol", "gradient"])
     line = refusal_line(sinsjax.tune, study, tmp_path / "out")
-    assert line.startswith("study: [resets] reset_at_feedback: ")
+    assert line.startswith("[resets] reset_at_feedback: ")
     assert not (tmp_path / "out").exists()
