@@ -159,7 +159,7 @@ def heading_budget(
     return Budget(np.asarray(times_s), tuple(present), np.stack([*present.values()], axis=1))
 
 
-def wrapped_error(sigma: float) -> tuple[float, float]:
+def wrapped_rms_and_q95(sigma: float) -> tuple[float, float]:
     """Return rms and 95 % quantile, rad, of a heading that a vector with noise shows.
 
     The data show the level part of the Earth rate with an error of ``sigma``, the linear 1 sigma of
@@ -360,7 +360,7 @@ def advise(
     curve_s = np.geomspace(SHORTEST_S, max(given.times_s), _MOST_TIMES)
     times_s = sorted({*given.times_s, *(float(round(time)) for time in curve_s)})
     choice, budget, sigmas = _expected_sigmas(given, problem, times_s)
-    errors = np.transpose([*map(wrapped_error, sigmas)]) / ARCMIN
+    errors = np.transpose([*map(wrapped_rms_and_q95, sigmas)]) / ARCMIN
     headings = tuple(map(Heading, times_s, *errors.tolist()))
     sigma, (bound,) = float(sigmas[times_s.index(asked_s)]), heading_bound([asked_s], problem)
     turns = None
@@ -384,7 +384,7 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
 def _rms_at_the_end(sheet: Sheet) -> float:
     """Return the rms heading error of a sheet at the time asked for, arcmin."""
     *_, (sigma,) = _expected_sigmas(sheet, sheet_problem(sheet), [sheet.asked.time_s])
-    return wrapped_error(sigma)[0] / ARCMIN
+    return wrapped_rms_and_q95(sigma)[0] / ARCMIN
 
 
 def _expected_sigmas(
@@ -470,7 +470,7 @@ def _describe_turns(advice: Advice) -> str:
     parts = [f"no turn {format_angle(advice.heading.rms_arcmin)}"]
     for one in turned:
         if one.sigma_arcmin <= parked.sigma_arcmin and one.name in ("half turn", best.name):
-            rms, _ = wrapped_error(one.sigma_arcmin * ARCMIN)
+            rms, _ = wrapped_rms_and_q95(one.sigma_arcmin * ARCMIN)
             half = f"one 180 deg turn at {one.motion['turn_times_s'][0]:g} s"
             name = half if one.name == "half turn" else one.name
             parts.append(f"{name} {format_angle(rms / ARCMIN)}")

@@ -176,15 +176,15 @@ def read_sheet(
         if motion is not None:
             data |= {"motion": MOTIONS[motion]}
         data = apply_changes(apply_changes(data, given), changes or {})
-        _check_names(data)
-        return _complete(name, data)
+        _check_sections_and_units(data)
+        return _validate_and_fill(name, data)
     except InputError as error:
         if error.lines[0].startswith(f"{name}: "):
             raise
         raise error.with_source(name) from None
 
 
-def _check_names(data: TomlTable) -> None:
+def _check_sections_and_units(data: TomlTable) -> None:
     """Refuse other sections than those of a sheet, and keys in the units of other makers."""
     for name, table in data.items():
         if name not in SHEET_TABLES:
@@ -213,7 +213,7 @@ def _convert_key(key: str) -> str:
     return ""
 
 
-def _complete(name: str, data: TomlTable) -> Sheet:
+def _validate_and_fill(name: str, data: TomlTable) -> Sheet:
     """Check the tables and fill in what a study needs."""
     given, fields = data.get("study", {}), AdviseSection.model_fields
     try:

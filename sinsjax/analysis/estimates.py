@@ -338,14 +338,14 @@ def mean_difference(a: ArrayLike, b: ArrayLike, cluster: ArrayLike | None = None
         return mean(first - second, cluster)
 
 
-def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
+def quantile_difference(a_by_draw: ArrayLike, b_by_draw: ArrayLike, q: float = 0.5) -> Estimate:
     """The quantile of a minus that of b, with a bootstrap interval over the pairs.
 
     b has the same draws in the same order as a. NaN counts as infinite as in `quantile`. Infinite
     minus finite is infinite. Infinite minus infinite is NaN as a value and 0 as an end of the
     interval, since two runs that never settle do not differ.
     """
-    pair = _paired_arrays(a, b, missing=math.inf)
+    pair = _paired_arrays(a_by_draw, b_by_draw, missing=math.inf)
     at = _quantile_index(pair[0].size, q)
 
     def difference(picks: NDArray) -> NDArray:
@@ -359,7 +359,7 @@ def quantile_difference(a: ArrayLike, b: ArrayLike, q: float = 0.5) -> Estimate:
     return Estimate(value, *bootstrap_interval(difference, every), every.size)
 
 
-def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
+def proportion_difference(a_by_draw: ArrayLike, b_by_draw: ArrayLike) -> Estimate:
     """The share of true values of a minus that of b over pairs on the same noise.
 
     The interval is Newcombe's: it combines Wilson's intervals of the two shares, corrected for the
@@ -367,7 +367,7 @@ def proportion_difference(a: ArrayLike, b: ArrayLike) -> Estimate:
     Student's t it has a width even if no pair differs, and stays within -1 and 1. b has the same
     draws in the same order as a.
     """
-    first, second = (x.astype(bool) for x in _paired_arrays(a, b))
+    first, second = (x.astype(bool) for x in _paired_arrays(a_by_draw, b_by_draw))
     n = first.size
     k, m, both = (int(np.count_nonzero(x)) for x in (first, second, first & second))
     (one, one_low, one_high), (two, two_low, two_high) = (_wilson_interval(x, n) for x in (k, m))

@@ -154,17 +154,17 @@ def plan_turns(  # noqa: PLR0913
     matrix = np.full((3, 3), gyro_misalignment_arcsec * ARCSEC)
     np.fill_diagonal(matrix, gyro_scale_ppm * PPM)
 
-    def increment_errors(step: float) -> IncrementErrors:
+    def instability_errors(step_s: float) -> IncrementErrors:
         def drift(rms: float, time_s: float) -> processes.Process | None:
             if rms == 0:
                 return None
-            return processes.sampled_mean_of_gauss_markov(rms * _AXES, time_s, step)
+            return processes.sampled_mean_of_gauss_markov(rms * _AXES, time_s, step_s)
 
         drifts = Disturbances(
             gyro_instability=drift(gyro_instability_deg_per_h * DEG_PER_H, gyro_instability_time_s),
             accel_instability=drift(accel_instability_ug * ug, accel_instability_time_s),
         )
-        return coloured_errors(drifts, step)
+        return coloured_errors(drifts, step_s)
 
     dt = duration_s / math.ceil(duration_s / LONGEST_STEP_S)
     errors = SensorErrors(
@@ -176,7 +176,7 @@ def plan_turns(  # noqa: PLR0913
         accel_matrix=np.zeros((3, 3)),
     )
     level = partial(_turning_level_base, {}, place, duration_s)
-    return compare_turns(HeadingProblem(level, place, dt, errors, increment_errors), duration_s)
+    return compare_turns(HeadingProblem(level, place, dt, errors, instability_errors), duration_s)
 
 
 def compare_turns(

@@ -9,7 +9,7 @@ from sinsjax.errors import InputError
 from sinsjax.messages import plain_console
 
 
-def gain_tables(
+def gain_root_tables(
     level_sigma: float, azimuth_sigma: float, damping: float, *, gravity: float, radius: float
 ) -> list[Any]:
     """Return tables of the gains and roots of both loops, [P2] eqs (17), (18), (22) and (23).
@@ -107,6 +107,6 @@ def gains(
             raise InputError(f"{option}: must be above 0{below}, not {value:g}")
     from sinsjax.report.document import print_table
 
-    tables = gain_tables(level_sigma, azimuth_sigma, damping, gravity=gravity, radius=radius)
+    tables = gain_root_tables(level_sigma, azimuth_sigma, damping, gravity=gravity, radius=radius)
     for table in tables:
         print_table(table, plain_console())

@@ -95,11 +95,11 @@ def init(
     write_file(path, text.encode())
     print_line(console, f"{path} written; `sinsjax validate {path}` checks it.")
     if from_ is not None:
-        for line in _list_open_questions(text, path, from_):
+        for line in _list_questions_and_next_command(text, path, from_):
             print_line(console, line)
 
 
-def _list_open_questions(text: str, path: Path, log: Path) -> Iterator[str]:
+def _list_questions_and_next_command(text: str, path: Path, log: Path) -> Iterator[str]:
     """Yield what the log of a new study does not determine, and how to align it."""
     from sinsjax.study import files
 

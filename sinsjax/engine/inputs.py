@@ -238,7 +238,7 @@ def derive_inputs(spec: ProgramSpec, environment: Environment, draws: Draw) -> D
     if draws.errors is None and draws.motion is None and draws.latitude is None:
         return draws
 
-    def derive(draw: Draw) -> dict[str, Any]:
+    def derive_place_biases_and_motion(draw: Draw) -> dict[str, Any]:
         derived: dict[str, Any] = {}
         if draw.latitude is not None:
             place = earth.place(environment.site.earth, draw.latitude)
@@ -254,7 +254,7 @@ def derive_inputs(spec: ProgramSpec, environment: Environment, draws: Draw) -> D
         rest = base_motion.ideal_sample(draw.motion, nodes, whole.site.place, rate_hz, 0.0)
         return derived | {"rest": rest}
 
-    return draws._replace(**map_draws(derive, draws))
+    return draws._replace(**map_draws(derive_place_biases_and_motion, draws))
 
 
 def map_draws(

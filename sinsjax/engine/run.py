@@ -318,7 +318,7 @@ class TileRuns(NamedTuple):
             self.one.start_after_coarse, in_axes=(0, self.site_axis, 0, self.sensors.draws.run_axis)
         )
         q = jax.vmap(self.one.spec.of_coarse_stage().program.attitude)(coarse_state)
-        return after(self.params, self.site, q, broadcast_to_runs(self.row, rotation))
+        return after(self.params, self.site, q, copy_draws_to_runs(self.row, rotation))
 
     def steps(self, reading: PassReading, number: Count) -> Steps:
         """Return the effect of the samples of an interval on the state of all runs."""
@@ -331,7 +331,7 @@ class TileRuns(NamedTuple):
             return (done + place).astype(self.one.environment.dtype)
 
         def take(state: Any, place: Count, sample: Sample) -> Any:
-            return step(params, site, state, broadcast_to_runs(self.row, sample), n(place + 1))
+            return step(params, site, state, copy_draws_to_runs(self.row, sample), n(place + 1))
 
         if method.feedback is None:
             return Steps(take, lambda state, place: state)
@@ -382,7 +382,7 @@ class TileRuns(NamedTuple):
             q_true = rotations.multiply(q_true, turn)
         observe = jax.vmap(self.one.observe, in_axes=(0, self.sensors.draws.run_axis, 0, None))
         return observe(
-            run, broadcast_to_runs(self.row, q_true), self.floor.phi.z, self.end_of(number)
+            run, copy_draws_to_runs(self.row, q_true), self.floor.phi.z, self.end_of(number)
         )
 
     def base_attitudes(self, interval: Intervals) -> Quat:
@@ -430,7 +430,7 @@ class TileRuns(NamedTuple):
 def prepare_tile(spec: ProgramSpec, environment: Environment, tile: Tiles) -> TileRuns:
     """Return the runs of a tile with all that follows from environment, draws and params."""
     draws, one = derive_inputs(spec, environment, tile.draws), RunFunctions(spec, environment)
-    axis, to_runs = draws.run_axis, partial(broadcast_to_runs, tile.row)
+    axis, to_runs = draws.run_axis, partial(copy_draws_to_runs, tile.row)
     params = jax.vmap(with_initial_errors, in_axes=(0, axis, axis, axis))(
         tile.params, *map(to_runs, (draws.phi, draws.ve, draws.vn))
     )
@@ -463,16 +463,16 @@ def with_initial_errors(
     return params._replace(phi=angles, ve=ve, vn=vn)
 
 
-def broadcast_to_runs(row: Array, tree: Any) -> Any:
+def copy_draws_to_runs(draw_of_run: Array, tree: Any) -> Any:
     """Return what belongs to draws for each run: leaves (draws,) to (lanes,), or () of one draw."""
 
     def broadcast(a: Array) -> Array:
         if len(a) == 1:
             return a[0]
-        if len(a) == row.size:
+        if len(a) == draw_of_run.size:
             return a
         # Without the check of bounds, which would cost as much as the look-up.
-        return a.at[row].get(mode="promise_in_bounds")
+        return a.at[draw_of_run].get(mode="promise_in_bounds")
 
     return jax.tree.map(broadcast, tree)
 

@@ -232,8 +232,8 @@ class TileSensors(NamedTuple):
             kept = jax.tree.map(lambda a: a[n], record)
             return self.of_one(self.draws).zero_before_record(n, kept)
 
-        def make(state: SensorState, number: Count) -> tuple[Sample, SensorState]:
-            places = number * size + jnp.arange(size)
+        def read_block(state: SensorState, block: Count) -> tuple[Sample, SensorState]:
+            places = block * size + jnp.arange(size)
             if record is None:
                 now, later = measure(state, places)
             else:
@@ -248,7 +248,7 @@ class TileSensors(NamedTuple):
                 rotation = accumulate_rotation(rotation, samples)
             return samples, later._replace(last=last, rotation=rotation)
 
-        return Blocks(self.spec.interval_samples, size, make)
+        return Blocks(self.spec.interval_samples, size, read_block)
 
     def make_record(self) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""

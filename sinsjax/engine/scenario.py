@@ -34,7 +34,7 @@ from sinsjax.methods.floors import NO_BIASES, mean_biases
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import runtime
-from sinsjax.records import require_span
+from sinsjax.records import require_data
 from sinsjax.records.reference import StoredRecord, reference_attitudes
 from sinsjax.strapdown import earth, processes, sensors
 from sinsjax.strapdown.base_motion import Motion, Sway, attitude_path
@@ -411,7 +411,7 @@ def _recorded_inputs(
     coarse_n, starts = study.samples_before(rate, method, *rest), start_samples(study, rate)
     needed = coarse_n + span.records_read * study.record_every
     for start in starts / rate:
-        require_span(record, start, needed / rate)
+        require_data(record, start, needed / rate)
     # Only the part of the record that is read.
     first, end = starts.min(), starts.max() + needed
     increments = aligned_record(int(end - first))

@@ -22,7 +22,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_seconds
 from sinsjax.methods.registry import METHODS, PACKAGES, check_plugin
 from sinsjax.platform import runtime
-from sinsjax.records import Record, read_record, read_reference, require_span
+from sinsjax.records import Record, read_record, read_reference, require_data
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
 from sinsjax.records.layout import Finding
 from sinsjax.records.reference import StoredRecord
@@ -73,7 +73,7 @@ def prepare_job(
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
         job = job._replace(notes=(note, *job.notes))
-    return finish_job(job, forecast.forecast_sweep(job.study, job.curves))
+    return check_job(job, forecast.forecast_sweep(job.study, job.curves))
 
 
 # --- steps of preparing a sweep or a tuning run, in order ---------------------------------------
@@ -115,7 +115,7 @@ def load_job(
             text = f"must be a file or what `load_increments` returns, not {type(record).__name__}"
             raise InputError(f"{name}: record: {text} (see sinsjax.record_from_arrays)")
         study = with_rate(study, record.record.rate_hz)
-        doubts = check_record(study, record)
+        doubts = list_record_doubts(study, record)
     runs = study.n_draws * study.n_variants
     if keeps_few_curves and runs <= MOST_CURVE_RUNS:
         options["curves"] = True
@@ -129,7 +129,7 @@ def load_job(
     return Job(study, record, **options)
 
 
-def finish_job(job: Job, cost: Forecast) -> Job:
+def check_job(job: Job, cost: Forecast) -> Job:
     """Check what a job needs apart from its record, and collect its warnings and notes."""
     study, notes, doubts = job.study, job.notes, job.warnings
     read_attitude(study)
@@ -220,7 +220,7 @@ def check_plugins(study: Study, stored: StoredRecord | None = None) -> None:
             check_plugin(name, spec.program, params, batch.n_variants, site)
 
 
-def check_record(study: Study, stored: StoredRecord) -> list[str]:
+def list_record_doubts(study: Study, stored: StoredRecord) -> list[str]:
     """Return doubts about the record of a study, one line each, in the spans that it reads.
 
     Raises:
@@ -272,7 +272,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     merged: list[tuple[int, int]] = []
     for start in sorted(start_samples(study, rate_hz).tolist()):
         end = start + coarse + fine
-        require_span(record, start / rate_hz, (coarse + fine) / rate_hz)
+        require_data(record, start / rate_hz, (coarse + fine) / rate_hz)
         if merged and start <= merged[-1][1]:
             start = merged.pop()[0]
         merged.append((start, end))

@@ -298,7 +298,7 @@ class Method:
         start = () if self.needs_start else (*INITIAL_KEYS, "position")
         return (*start, *self.without_effect)
 
-    def check_data(self, study: StudyKeys) -> None:
+    def check_passes_and_coarse_start(self, study: StudyKeys) -> None:
         """Refuse passes over a record that it reads once, and a coarse start without need."""
         refused = {}
         if study.has("passes") and self.program.passes is None:

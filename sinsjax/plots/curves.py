@@ -155,7 +155,7 @@ def plot_curves(
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
     ensembles = [
-        _with_marks(one, summary.filter(pc.field("run_id").isin(lines[one.label])))
+        _with_floor_and_resets(one, summary.filter(pc.field("run_id").isin(lines[one.label])))
         for one in group_curves(table, lines)
     ]
     if not known:
@@ -166,7 +166,7 @@ def plot_curves(
     return _draw_errors(ensembles, _HEADING, "heading error", title)
 
 
-def _with_marks(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
+def _with_floor_and_resets(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
     """Return a line with the bias floor and the reset times of its runs, if they are known."""
     floor, resets = math.nan, set()
     if "floor_arcmin" in rows.column_names:

@@ -5,7 +5,7 @@ SI units and right-front-up axes, with what is missing or doubtful in them. Ever
 raises `InputError` with one line that names the file and the row, column or key.
 """
 
-from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout, check_layout, require_span
+from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout, check_layout, require_data
 from sinsjax.records.reference import Reference, read_reference
 from sinsjax.records.sources import read_psins, read_record, record_from_arrays
 
@@ -19,5 +19,5 @@ __all__ = [
     "read_record",
     "read_reference",
     "record_from_arrays",
-    "require_span",
+    "require_data",
 ]

@@ -228,7 +228,7 @@ def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, sourc
     return layout.rate_hz
 
 
-def require_span(record: Record, start_s: float, needed_s: float) -> None:
+def require_data(record: Record, start_s: float, needed_s: float) -> None:
     """Reject a record that does not cover a time span from its beginning, or lacks samples."""
     available_s, end_s = len(record.dtheta) / record.rate_hz, start_s + needed_s
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.

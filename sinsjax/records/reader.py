@@ -224,7 +224,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
         kind = "the file has only comments (remove their signs?) or blank lines"
         raise InputError(f"{path}: {f'no samples after row {skip_rows}' if skip_rows else kind}")
     comments = start[: data[0].row - 1]
-    shape = _find_shape([*columns], data, comments)
+    shape = _find_columns([*columns], data, comments)
     if len(shape.names) > _MAX_COLUMNS:
         raise InputError(f"{path}: {len(shape.names):,} columns (keep those of one IMU)")
     rows, parts = array("q"), [list[pa.Array]() for _ in shape.names]
@@ -243,7 +243,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
     )
 
 
-def _find_shape(columns: list[str], data: list[Line], comments: list[str]) -> _Shape:
+def _find_columns(columns: list[str], data: list[Line], comments: list[str]) -> _Shape:
     """Return where the columns of a file are, from its first lines of data."""
     if columns:
         return _Shape(columns, _find_delimiter(data[0].text), data[0].row)

@@ -72,7 +72,7 @@ def find_sampling(
     if step_s.min() <= 0:
         k = int((step_s <= 0).argmax())
         refuse(k, "time runs backward" if step_s[k] < 0 else "time repeats")
-    clean_s = _clean_steps(time_s)  # whose mean averages out the rounding of the stamps
+    clean_s = _gapless_steps(time_s)  # whose mean averages out the rounding of the stamps
     rate = resolve_rate(
         _round_rate(float(1 / clean_s.mean()), time_s), layout, 1 / len(clean_s), place
     )
@@ -98,7 +98,7 @@ def find_sampling(
     return Sampling(rate, float(time_s[0]) - 1 / rate, number, remark)
 
 
-def _clean_steps(time_s: FloatArray) -> FloatArray:
+def _gapless_steps(time_s: FloatArray) -> FloatArray:
     """Return the steps of increasing stamps without gaps; of several steps if these alternate."""
     step_s = np.diff(time_s)
     count = max(1, min(_AVERAGED_STEPS, len(step_s) // 8))
@@ -144,7 +144,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
     be a few milliseconds late. A row that repeats the one before it, stamp included, is left out.
     A missing sample, from a gap or an empty cell, is interpolated if max_gap_s allows it; otherwise
-    it is nan and a flaw of the record, see `require_span`. Errors name the row and the column.
+    it is nan and a flaw of the record, see `require_data`. Errors name the row and the column.
     """
     names = [name for sensor in layout.sensors for name in sensor.columns]
     samples = _read_samples(layout, table, names)

@@ -89,7 +89,7 @@ def _level_facts(source: Results) -> Iterator[Fact]:
     yield Fact("Heading", f"none: {' and '.join(source.study.methods)} finds pitch and roll alone")
 
 
-def attitude_cautions(source: Results) -> Iterator[Fact]:
+def filter_sigma_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about the filter's own 1 sigma."""
     estimating = [*map(estimates_biases, heading_filters(source))]
     if not all(estimating):

@@ -21,7 +21,7 @@ from sinsjax.execution.results import Results
 from sinsjax.report.attitude import attitude_table
 from sinsjax.report.document import MAX_ROWS, Report, Table
 from sinsjax.report.figures import describe_intervals, draw_figures
-from sinsjax.report.verdict import build_verdict, find_outcome
+from sinsjax.report.verdict import build_short_report, find_outcome
 from sinsjax.study.keys import is_condition_key
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_columns, success_criteria, success_measures
@@ -63,7 +63,7 @@ def build_report(
         if text := outcome.held_out[0]:
             end = "(each half of the draws chooses for the other)"
             notes.append(f"{text[0].upper()}{text[1:]} {end}.")
-    return build_verdict(source, outcome, warnings_shown=warnings_shown)._replace(
+    return build_short_report(source, outcome, warnings_shown=warnings_shown)._replace(
         tables=tables,
         pictures=[*draw_figures(source, outcome)],
         notes=notes,

@@ -34,8 +34,8 @@ from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
 from sinsjax.methods.gravity_fit.method import REFITS
 from sinsjax.report.attitude import (
-    attitude_cautions,
     attitude_facts,
+    filter_sigma_cautions,
     finds_heading,
     last_attitude_table,
 )
@@ -203,7 +203,7 @@ class SweepOutcome:
         share = format_percent(self.success_share(option))
         return f"{share} % settle" if settled.any() else "never"
 
-    def options_like_best(self) -> list[int]:
+    def options_tied_with_best(self) -> list[int]:
         """The options that the draws do not tell apart from the best, the fastest first.
 
         Neither fewer of the best's runs never settle, by the interval of the paired difference, nor
@@ -254,7 +254,7 @@ def find_outcome(source: Results) -> SweepOutcome | None:
     return SweepOutcome.from_source(source) if np.isfinite(heading).any() else None
 
 
-def build_verdict(
+def build_short_report(
     source: Results, outcome: SweepOutcome | None = None, *, warnings_shown: bool = False
 ) -> Report:
     """Return the report without its figures and tables.
@@ -277,7 +277,7 @@ def build_verdict(
     if outcome and finds_heading(source) and study.n_variants > 1:
         variant, table = outcome.best_variant, _condition_table(outcome)
         judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
-    doubts += attitude_cautions(source)
+    doubts += filter_sigma_cautions(source)
     return Report(_study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
 
 
@@ -332,7 +332,7 @@ def _answer_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 
 def _comparison_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the options that are not told apart from the best, the next best and no resets."""
-    names, like = outcome.options, outcome.options_like_best()
+    names, like = outcome.options, outcome.options_tied_with_best()
     if like:
         listed = "; ".join(names[option] for option in like[:_MOST_LIKE])
         more = f"; {len(like) - _MOST_LIKE} more" if len(like) > _MOST_LIKE else ""

@@ -7,7 +7,7 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     ProcessNoise,
-    surge_density,
+    peak_surge_density,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import reading_methods
@@ -50,7 +50,7 @@ def _check_q_unit(study: Study) -> None:
         study.refuse("q_reading", text)
 
 
-def _check_q(noise: ProcessNoise, study: Study) -> None:
+def _check_q_is_determined(noise: ProcessNoise, study: Study) -> None:
     """Refuse a study in which neither keys nor the sensors determine Q."""
     sensor_keys = () if study.is_recorded else noise.white
     drawn = [key for key in sensor_keys if key in study.drawn_keys]
@@ -71,9 +71,9 @@ def _check_q(noise: ProcessNoise, study: Study) -> None:
         study.refuse(noise.key, f"required ({reason}; {hint})")
 
 
-def _check_r(study: Study) -> None:
+def _check_r_needs_no_drawn_surge(study: Study) -> None:
     """Refuse an omitted R that would follow a surge that draws vary."""
-    drawn = [key for key in keys_of(surge_density) if key in study.drawn_keys]
+    drawn = [key for key in keys_of(peak_surge_density) if key in study.drawn_keys]
     points = study.combinations("method", "r_velocity_m_per_s")
     for point in points if drawn and study.has("filter") else ():
         sections = METHODS[point["method"]].sections
@@ -85,7 +85,7 @@ def _check_r(study: Study) -> None:
 
 NOISE_RULES: tuple[Callable[[Study], None], ...] = (
     _check_q_unit,
-    *(partial(_check_q, noise) for noise in _NOISES),
-    _check_r,
+    *(partial(_check_q_is_determined, noise) for noise in _NOISES),
+    _check_r_needs_no_drawn_surge,
 )
 """The rules of Q and R."""

@@ -126,7 +126,7 @@ def _check_answers(answers: Mapping[str, Any]) -> dict[str, Any]:
     return checked
 
 
-def _set_times(
+def _set_times_of_longest_gapless_part(
     study: dict[str, Any], keys: dict[str, Any], coarse: dict[str, Any], record: Record
 ) -> None:
     """Set the times at which the longest part without a gap is aligned."""
@@ -156,7 +156,7 @@ def _add_what_samples_show(
 ) -> list[str]:
     """Add what the samples of a record show to the sections of its study; return the doubts."""
     study, earth, keys, coarse, alignment = sections.values()
-    _set_times(study, keys, coarse, record)
+    _set_times_of_longest_gapless_part(study, keys, coarse, record)
     begin = round(keys["start_s"][0] * record.rate_hz)
     length = round((coarse["coarse_duration_s"] + study["duration_s"]) * study["rate_hz"])
     span = (begin, min(begin + length, len(record.dv)))

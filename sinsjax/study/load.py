@@ -34,10 +34,10 @@ from sinsjax.study.motion import attitude_digest
 from sinsjax.study.study import Study, study_to_tables
 from sinsjax.study.sweep import (
     Sweep,
-    check_alternatives,
     correctable_errors,
     read_sweep,
     read_tune_section,
+    refuse_exclusive_keys,
     without_gone_settings,
 )
 
@@ -147,7 +147,7 @@ def _read_study(data: TomlTable, name: str) -> Study:
     }
     tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
     with errors.collect():
-        check_alternatives(tables_of_keys | sweep.table_of)
+        refuse_exclusive_keys(tables_of_keys | sweep.table_of)
     defaults = values_of_omitted_keys(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)
@@ -187,7 +187,7 @@ def _check_tuning_points(study: Study) -> None:
         except InputError as error:
             raise InputError(f"{place}: {error.lines[0]}") from None
 
-    corners = search_space.corner_points(study)
+    corners = search_space.lowest_and_highest_points(study)
     for place, point in corners.items():
         build_point(place, point)
     search_space.comparable_points(study, build_point("[tune.baseline]", baseline), corners)

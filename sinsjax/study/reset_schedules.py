@@ -11,7 +11,7 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     SCHEDULE_KEYS,
-    surge_density,
+    peak_surge_density,
     update_variance,
 )
 from sinsjax.methods.registry import METHODS
@@ -135,7 +135,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         accel_noise=(ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2,
         gyro_noise=(GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2,
         tilt_noise=GYRO_NOISE.q(rate_hz, point) * DEG_PER_H**2,
-        surge=surge_density(*(point[key] for key in keys_of(surge_density))),
+        surge=peak_surge_density(*(point[key] for key in keys_of(peak_surge_density))),
     )
 
 

@@ -181,7 +181,7 @@ def _check_reset_law(study: Study) -> None:
             study.refuse("schedule", text)
 
 
-def _check_coarse_times(study: Study) -> None:
+def _check_coarse_duration_and_resets(study: Study) -> None:
     """Refuse coarse alignment that leaves no time for the method, and resets before its end."""
     record_interval_s = study.record_every / study.rate_hz
     stored = ("stored_s",) if study.passes else ()
@@ -280,7 +280,7 @@ def _check_rules_of_methods(study: Study) -> None:
     variants = Variants.all_of(study)
     methods = [METHODS[name] for name in dict.fromkeys(study.methods)]
     rules = dict.fromkeys(rule for method in methods for rule in method.rules)
-    checks = [method.check_data for method in methods if not method.is_external]
+    checks = [method.check_passes_and_coarse_start for method in methods if not method.is_external]
     _check_all([partial(rule, variants) for rule in (*checks, *rules)])
 
 
@@ -396,7 +396,7 @@ def list_idle_keys(study: Study) -> list[str]:
     """
     tuned = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
     idle: dict[str, dict[str, list[str]]] = {}  # keys by table, by the reason
-    for key, table in _given_keys_with_tables(study):
+    for key, table in _iter_varied_or_changed_keys_with_tables(study):
         deciding = deciding_keys(key)
         if SECTION_OF[key] not in SWEEPABLE or not tuned.isdisjoint(deciding):
             continue
@@ -416,7 +416,7 @@ def list_idle_keys(study: Study) -> list[str]:
     return [f"{'; '.join(parts)}."] if parts else []
 
 
-def _given_keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
+def _iter_varied_or_changed_keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the keys that a study varies or changes from their defaults, and their tables."""
     for name in filter(study.has, SWEEPABLE):
         section, fields = getattr(study, name), SECTIONS[name].model_fields
@@ -441,7 +441,7 @@ _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
 _VALUES = (_check_plausible_values, _check_drawn_values)
 _TIMES = (
     _check_coarse_method,
-    _check_coarse_times,
+    _check_coarse_duration_and_resets,
     check_turns,
     _check_reset_law,
     _check_statistics_window,

@@ -156,7 +156,7 @@ def _free_variables(ranges: Ranges) -> tuple[Variable, ...]:
     return tuple(variables)
 
 
-def corner_points(study: Study) -> dict[str, TomlTable]:
+def lowest_and_highest_points(study: Study) -> dict[str, TomlTable]:
     """Return the points with all ranges at their low or high end, each by its description."""
     space, points = SearchSpace.from_study(study), dict[str, TomlTable]()
     ends = {"with every range at its low end": 0.0, "with every range at its high end": 1.0}

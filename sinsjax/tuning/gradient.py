@@ -40,7 +40,7 @@ from sinsjax.study.sweep import COUNT, TIMES, CodedColumn
 from sinsjax.study.values import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
-from sinsjax.tuning.search import GRADIENT, law_point
+from sinsjax.tuning.search import GRADIENT, reset_law_box
 from sinsjax.types import Array, Count
 from sinsjax.units import DEG, micro_g
 
@@ -88,7 +88,7 @@ def _descend_candidate(
     """
     tune, space = search.require_tune(study), SearchSpace.from_study(study)
     parameters, evaluations = TunedParams(study, space.combinations[number]), list[Evaluation]()
-    law, p = law_point(study, number), len(parameters.variables)
+    law, p = reset_law_box(study, number), len(parameters.variables)
     laws, box = np.empty((0, p)) if law is None else law[None], np.empty((1, p))
     if p:
         import optax  # late: it is slow to import, and only descents need it

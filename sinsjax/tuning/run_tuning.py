@@ -15,7 +15,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY, DamagedError
-from sinsjax.execution.prepare import finish_job, issue_warnings, load_job
+from sinsjax.execution.prepare import check_job, issue_warnings, load_job
 from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
@@ -27,7 +27,7 @@ from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import EVALUATION, TUNED, SearchResult
 from sinsjax.tuning.results import TuningResults
-from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, law_point, require_tune
+from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, require_tune, reset_law_box
 
 
 def tune(
@@ -90,7 +90,7 @@ def prepare_tuning(
     if job.directory is not None:
         _check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
     _read_complete_searches(job)
-    job = finish_job(job, forecast.forecast_tuning(job.study))
+    job = check_job(job, forecast.forecast_tuning(job.study))
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")
@@ -193,7 +193,7 @@ def _evaluate_best_points(
     """
     space, baseline = SearchSpace.from_study(study), with_point(study, require_tune(study).baseline)
     points = {result.search: result.point(space) for result in results}
-    if (law := law_point(study, candidate)) is not None:
+    if (law := reset_law_box(study, candidate)) is not None:
         (points[LAW],) = (one.keys(space) for one in search.points_at(space, candidate, [law]))
     names: dict[tuple[object, ...], list[str]] = {}
     every = comparable_points(study, baseline, points)

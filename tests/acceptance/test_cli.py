@@ -119,7 +119,7 @@ command()
 
 
 def test_design_gives_gains_and_roots_of_paper_loops(sinsjax: Command) -> None:
-    made, roots = loop_gains.gain_tables(0.02, 0.01, 0.5**0.5, gravity=9.8, radius=6378165.0)
+    made, roots = loop_gains.gain_root_tables(0.02, 0.01, 0.5**0.5, gravity=9.8, radius=6378165.0)
     k1, k2, k3, k4 = made.rows
     assert k1 == ["K1", "0.06", "1/s", "0.02", "1/s"] and k4[1:4] == ["-", "-", "0.02"]
     assert k2[1::2] == ["1040", "259.3"]

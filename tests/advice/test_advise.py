@@ -20,7 +20,7 @@ from sinsjax.advice.advise import (
     heading_budget,
     scale_source,
     sheet_problem,
-    wrapped_error,
+    wrapped_rms_and_q95,
 )
 from sinsjax.advice.sheet import MOTIONS, Sheet, read_sheet, shipped_sheets
 from sinsjax.errors import InputError
@@ -281,7 +281,7 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     x, y = 1 + sigma * rng.standard_normal(400_000), sigma * rng.standard_normal(400_000)
     angle = np.abs(np.arctan2(y, x))
     expected = np.sqrt(np.mean(angle**2)), np.quantile(angle, 0.95)
-    assert wrapped_error(sigma) == pytest.approx(expected, rel=0.01)
+    assert wrapped_rms_and_q95(sigma) == pytest.approx(expected, rel=0.01)
 
 
 def test_rounding_process_is_what_rounding_leaves():

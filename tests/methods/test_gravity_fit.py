@@ -13,7 +13,7 @@ import sinsjax
 from sinsjax.execution.results import Results
 from sinsjax.methods.gravity_fit.fit import Block, FitParams, solve
 from sinsjax.methods.gravity_fit.noise import SensorNoise
-from sinsjax.report.verdict import build_verdict
+from sinsjax.report.verdict import build_short_report
 from sinsjax.strapdown import earth
 from sinsjax.types import Quat, Vec3
 
@@ -111,7 +111,7 @@ def test_doubts_about_fits_are_cautions_of_every_verdict(truth: bool) -> None:
         made = columns | ({} if name == "none" else {name: changed})
         values = {column: value.tolist() for column, value in made.items()}
         summary = synthetic_summary(given, truth=truth, **values)
-        facts = build_verdict(Results(given, None, tables={"summary": summary})).facts
+        facts = build_short_report(Results(given, None, tables={"summary": summary})).facts
         doubts = [fact.text for fact in facts if fact.is_caution and "the fit" in fact.text]
         assert len(doubts) == (name != "none")
         assert all("3.1" in text and text.endswith("(2 of 16 fits)") for text in doubts)

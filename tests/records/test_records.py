@@ -32,7 +32,7 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 def read_whole(path: Path, layout: RecordLayout) -> Record:
     """Read a record and require its whole span, so missing samples are refused."""
     record = records.read_record(path, layout)
-    records.require_span(record, 0.0, len(record.dtheta) / record.rate_hz)
+    records.require_data(record, 0.0, len(record.dtheta) / record.rate_hz)
     return record
 
 
@@ -179,9 +179,9 @@ def test_missing_samples_are_refused_or_interpolated_and_counted(tmp_path, cell)
     whole = np.delete(np.arange(400), missing)
     np.testing.assert_allclose(record.dtheta[whole, 2], time_s[whole])
     assert np.isnan(record.dtheta[missing]).all()
-    records.require_span(record, 2.03, 1.97)
+    records.require_data(record, 2.03, 1.97)
     for begin, needed in ((1.5, 0.51), (2.02, 1.0), (2.01, 0.01)):
-        line = refusal_line(records.require_span, record, begin, needed)
+        line = refusal_line(records.require_data, record, begin, needed)
         row = 202 if cell is not None else 201
         assert f"row {row}: " in line and ("a gap" in line) == (cell is None)
     record = read_whole(path, CSV._replace(max_gap_s=0.04))

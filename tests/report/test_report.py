@@ -23,7 +23,7 @@ from sinsjax.report.monte_carlo import (
     comparison_table,
     statistics_table,
 )
-from sinsjax.report.verdict import build_verdict
+from sinsjax.report.verdict import build_short_report
 from sinsjax.study.load import study_from_dict
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -204,7 +204,7 @@ def test_study_of_level_alone_reports_pitch_and_roll(tmp_path):
     nulls = source.summary
     for name in ("pitch_deg", "roll_deg"):
         nulls = replace_column(nulls, name, pa.nulls(nulls.num_rows))
-    (fact, *_) = build_verdict(Results(source.study, None, tables={"summary": nulls})).facts
+    (fact, *_) = build_short_report(Results(source.study, None, tables={"summary": nulls})).facts
     assert fact.is_caution and fact.text == "unknown, the run is not finite"
 
 
@@ -229,7 +229,7 @@ def test_stopped_study_reports_reason_for_stopping(tmp_path):
     source = Results.read(
         store_results(tmp_path, study, synthetic_summary(study).slice(0, 64), state="complete")
     )
-    why = facts_of(build_verdict(source))["Stopped"]
+    why = facts_of(build_short_report(source))["Stopped"]
     assert why == "every half-width of success_rate is at most 0.9"
 
 

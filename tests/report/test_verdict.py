@@ -12,7 +12,7 @@ from support.synthetic_tables import synthetic_summary
 from sinsjax import analysis
 from sinsjax.execution.results import Results
 from sinsjax.report.document import Report
-from sinsjax.report.verdict import SweepOutcome, build_verdict, process_noise_caution
+from sinsjax.report.verdict import SweepOutcome, build_short_report, process_noise_caution
 from sinsjax.study.study import Study
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
@@ -35,7 +35,7 @@ def facts_by_label(found: Report) -> dict[str, str]:
 def verdict(study: Study, **columns: Any) -> dict[str, str]:
     """The facts about a study whose summary has these columns."""
     summary = synthetic_summary(study, **columns)
-    return facts_by_label(build_verdict(Results(study, None, tables={"summary": summary})))
+    return facts_by_label(build_short_report(Results(study, None, tables={"summary": summary})))
 
 
 def settling(settle_s: np.ndarray) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def settling_times() -> np.ndarray:
 
 def test_verdict_names_best_schedule_its_rivals_and_each_condition() -> None:
     summary = synthetic_summary(sweep_study(), **settling(settling_times()))
-    found = build_verdict(Results(sweep_study(), None, tables={"summary": summary}))
+    found = build_short_report(Results(sweep_study(), None, tables={"summary": summary}))
     facts, table = facts_by_label(found), found.table
     times, draws = np.array([45.0, 40.0, 30.0]) + np.arange(16.0)[:, None], np.arange(16)
     mean = analysis.format_estimate(analysis.mean(times.ravel(), np.repeat(draws, 3)), "s", 0)
@@ -149,7 +149,7 @@ def test_band_out_of_reach_is_the_first_line() -> None:
     study = small_study(study={"draws": 8}, sensors=noisy)
     tables = {"summary": synthetic_summary(study)}
     source = Results(study, None, tables=tables, directory=Path("out"))
-    first, *_ = build_verdict(source, warnings_shown=True).facts
+    first, *_ = build_short_report(source, warnings_shown=True).facts
     assert first.is_caution and "cannot be reached" in first.text
 
 

@@ -16,7 +16,7 @@ from sinsjax.study.search_space import SearchSpace
 from sinsjax.study.study import Study
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
-from sinsjax.tuning.search import law_point
+from sinsjax.tuning.search import reset_law_box
 from sinsjax.units import ARCMIN, DEG
 
 pytestmark = pytest.mark.optimised(False)
@@ -38,7 +38,7 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 def positions(study: Study, name: str) -> np.ndarray:
     """Return the points of a design by candidate and positions, 0 to 1; the law's come first."""
     space, points = SearchSpace.from_study(study), search.design_points(study, name)
-    laws = [search.points_at(space, n, [law_point(study, n)]) for n in (1, 2)]
+    laws = [search.points_at(space, n, [reset_law_box(study, n)]) for n in (1, 2)]
     np.testing.assert_array_equal([p.values for p in points[:2]], [p.values for (p,) in laws])
     return np.array([[p.candidate, *space.to_box(p.values)] for p in points[2:]])
 
@@ -155,7 +155,7 @@ def long(variables: dict[str, Any], tune: Any = None, **changes: Any) -> Study:
 
 def value_at(study: Study, number: int = 0) -> dict[str, Any] | None:
     """Return the keys of the law's point, or None."""
-    space, box = SearchSpace.from_study(study), law_point(study, number)
+    space, box = SearchSpace.from_study(study), reset_law_box(study, number)
     return None if box is None else search.points_at(space, number, [box])[0].keys(space)
 
 

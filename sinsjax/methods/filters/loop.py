@@ -206,6 +206,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
     """Return the program of a filter that feeds back and resets P on schedule or by a trigger."""
     trigger = None if options.trigger == "none" else triggers.TRIGGERS[options.trigger]
     loop = _ClosedLoop((*states,), filter_, options, trigger)
+    fired = None if trigger is None else triggers.fired
     return Program(
         init=loop.init,
         step=loop.step,
@@ -213,7 +214,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
         covariance=filter_.covariance,
         results=loop.results,
         shares_covariance=filter_.shares_covariance and trigger is None,
-        feedback=Feedback(loop.close, _next_event, None if trigger is None else triggers.fired),
+        feedback=Feedback(loop.feed_back_and_reset, _next_event, fired),
         passes=Passes(loop.reverse, _shift_counts),
     )
 
@@ -278,7 +279,7 @@ class _ClosedLoop(NamedTuple):
         entries = self.filter.transition(state, here, f_dt)
         return state._replace(belief=kalman.propagate(state.belief, entries))
 
-    def close(self, params: Any, state: Any, n: Scalar) -> Any:
+    def feed_back_and_reset(self, params: Any, state: Any, n: Scalar) -> Any:
         feeds_back, resets = n >= state.feedback_at, schedules.reset_due(params.resets, n)
         if self.trigger is not None:
             resets = resets | triggers.fired(state, n)

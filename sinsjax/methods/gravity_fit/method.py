@@ -284,7 +284,7 @@ COLUMNS = (
 )
 
 
-def _check_beliefs(study: method.StudyKeys) -> None:
+def _check_blocks_and_noise_keys(study: method.StudyKeys) -> None:
     """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
     required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
     simulated = (*_NOISE, *(key for noise in _NOISE.values() for key in noise.white))
@@ -316,7 +316,7 @@ GRAVITY_FIT = method.Method(
     params=params,
     needs_start=False,
     turning="any",
-    rules=(_check_beliefs,),
+    rules=(_check_blocks_and_noise_keys,),
     columns=COLUMNS,
     step_s=10e-9,
     compile_s=8.5,
