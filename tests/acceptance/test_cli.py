@@ -4,13 +4,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
 import tomli_w
-from support.commands import Command
 from support.studies import small_tables, swing_deg, write_swing_record
 from support.sweep_directories import read_manifest_entries
 
@@ -22,18 +20,18 @@ from sinsjax.study.schema import EARTH_CONSTANTS
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
-TWO: dict[str, Any] = {"axes": {"phi_u0_deg": [0.0, 30.0]}, "resets": {"reset_times_s": [2.5]}}
+TWO = {"axes": {"phi_u0_deg": [0.0, 30.0]}, "resets": {"reset_times_s": [2.5]}}
 """Two variants, 6 runs: tests share the compiled program."""
 
 
-def write_study(name: str = "study.toml", **changes: Any) -> Path:
+def write_study(name="study.toml", **changes):
     """Write a small study file with sections changed; one set to None is left out."""
     tables = {key: table for key, table in small_tables(**changes).items() if table is not None}
     Path(name).write_text(tomli_w.dumps(tables), encoding="utf-8")
     return Path(name)
 
 
-def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command) -> None:
+def test_run_writes_results_and_figures_and_prints_table(sinsjax):
     out = Path("out")
     code, told, _ = sinsjax("run", write_study(**TWO), "-o", out)
     assert code == 0 and "Settling" in told and "phi_u0_deg" not in told
@@ -51,7 +49,7 @@ def test_run_writes_results_and_figures_and_prints_table(sinsjax: Command) -> No
 
 
 @pytest.mark.nightly
-def test_align_with_reference_reports_true_misalignment(sinsjax: Command) -> None:
+def test_align_with_reference_reports_true_misalignment(sinsjax):
     """The reference is the true attitude of the simulated swing, so phi is the true error."""
     write_swing_record(Path())
     config = write_study(
@@ -67,7 +65,7 @@ def test_align_with_reference_reports_true_misalignment(sinsjax: Command) -> Non
     np.testing.assert_allclose(-np.array(summary["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
-def ended(*words: str, **options: Any) -> tuple[int, str, str]:
+def ended(*words, **options):
     """Run Python; return exit code, output and error output."""
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
     done = subprocess.run([sys.executable, *words], **options)
@@ -75,7 +73,7 @@ def ended(*words: str, **options: Any) -> tuple[int, str, str]:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_full_disk_on_standard_output_is_reported_in_one_line() -> None:
+def test_full_disk_on_standard_output_is_reported_in_one_line():
     with open("/dev/full", "w") as full:
         code, _, error = ended("-m", "sinsjax", "--help", stdout=full)
     assert (code, error.count("\n")) == (2, 1)
@@ -83,16 +81,14 @@ def test_full_disk_on_standard_output_is_reported_in_one_line() -> None:
 
 
 @pytest.mark.nightly
-def test_unavailable_jax_platform_is_reported_in_one_line() -> None:
+def test_unavailable_jax_platform_is_reported_in_one_line():
     code, _, error = ended("-m", "sinsjax", "info", env=os.environ | {"JAX_PLATFORMS": "foo"})
     assert (code, error.count("\n")) == (2, 1)
     assert error.startswith("error: JAX_PLATFORMS=foo: JAX does not start: ")
 
 
-def test_interrupted_sweep_prints_resume_command(
-    sinsjax: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: Any, **__: Any) -> None:
+def test_interrupted_sweep_prints_resume_command(sinsjax, monkeypatch):
+    def interrupted(*_, **__):
         raise StudyInterrupted("1 of 3 runs are in out")
 
     write_study("my study.toml", study={"success_band_arcmin": 1000.0})
@@ -103,7 +99,7 @@ def test_interrupted_sweep_prints_resume_command(
         assert (code, told) == (130, f"interrupted: 1 of 3 runs are in out (continue: {again})\n")
 
 
-def test_abort_at_teardown_does_not_change_exit_code_or_output() -> None:
+def test_abort_at_teardown_does_not_change_exit_code_or_output():
     """Exit code and output are right, whatever the remaining objects do when destroyed."""
     script = """
 import atexit, os, sys
@@ -118,7 +114,7 @@ command()
     assert error.startswith("error: no_such_key: unknown section, key or method")
 
 
-def test_design_gives_gains_and_roots_of_paper_loops(sinsjax: Command) -> None:
+def test_design_gives_gains_and_roots_of_paper_loops(sinsjax):
     made, roots = loop_gains.gain_root_tables(0.02, 0.01, 0.5**0.5, gravity=9.8, radius=6378165.0)
     k1, k2, k3, k4 = made.rows
     assert k1 == ["K1", "0.06", "1/s", "0.02", "1/s"] and k4[1:4] == ["-", "-", "0.02"]

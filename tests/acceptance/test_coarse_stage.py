@@ -1,7 +1,5 @@
 """Studies that begin with coarse alignment, and reports at times of a run: rows of their tables."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from support.refusals import refusal_line
@@ -10,7 +8,6 @@ from support.studies import add_true_reference, small_study, with_paper_values
 from sinsjax.arena.export import simulated_record
 from sinsjax.execution import run
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -20,8 +17,8 @@ ARMS = {
 }
 
 
-def study(**changes: Any) -> Study:
-    tables: dict[str, Any] = {
+def study(**changes):
+    tables = {
         "study": {"draws": 3, "curves": True},
         "coarse": {"coarse_duration_s": 3.0},
         "axes": {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]},
@@ -30,7 +27,7 @@ def study(**changes: Any) -> Study:
 
 
 @pytest.mark.nightly
-def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed() -> None:
+def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed():
     curves = run.run(study()).curves
     assert curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
     phi, sigma = (
@@ -52,7 +49,7 @@ def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed() -
     assert np.all(sigma[:, 6, 3:] < sigma[:, 2, 3:])
 
 
-def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed() -> None:
+def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed():
     resets = {"reset_times_s": [2.0, 4.0]}
     line = refusal_line(small_study, coarse={"coarse_duration_s": 2.0}, resets=resets)
     assert line.startswith("[resets] reset_times_s: the reset at 2 s is not after the end of")
@@ -61,7 +58,7 @@ def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed()
 
 # Report times
 
-REPORTED: dict[str, dict[str, Any]] = {
+REPORTED = {
     "filters": {"axes": {"method": ["kalman5", "kalman_sincos"]}},
     "passes": {"passes": {"stored_s": 2.0}, "axes": {"turn_covariance": ["carried", "reset"]}},
     "coarse": {
@@ -75,7 +72,7 @@ REPORTED: dict[str, dict[str, Any]] = {
 @pytest.mark.nightly
 @pytest.mark.optimised(True)
 @pytest.mark.parametrize("name", REPORTED)
-def test_report_times_repeat_the_curves_and_leave_other_results_bit_identical(name: str) -> None:
+def test_report_times_repeat_the_curves_and_leave_other_results_bit_identical(name):
     """Times count over all passes, from the first sample of coarse alignment."""
     plain, reported = (
         run.run(small_study(**REPORTED[name] | {"study": {"curves": True} | times}))
@@ -91,7 +88,7 @@ def test_report_times_repeat_the_curves_and_leave_other_results_bit_identical(na
 
 
 @pytest.mark.nightly
-def test_report_times_count_same_data_for_hand_over_and_replay() -> None:
+def test_report_times_count_same_data_for_hand_over_and_replay():
     """The one has heard 2 s of a record before t = 0."""
     tables = {
         "study": {"duration_s": 4.0, "rate_hz": 100.0, "window_s": [2, 4], "curves": True}

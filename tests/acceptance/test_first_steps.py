@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import tomli_w
-from support.commands import Command
 from support.studies import small_tables
 
 import sinsjax as package
@@ -18,7 +17,7 @@ pytestmark = pytest.mark.optimised(False)
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
-def test_study_is_found_by_name_after_local_files(sinsjax: Command) -> None:
+def test_study_is_found_by_name_after_local_files(sinsjax):
     path = CONFIGS / "reset_sweep.toml"
     Path("reset_sweep").mkdir()  # results are no study
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
@@ -29,7 +28,7 @@ def test_study_is_found_by_name_after_local_files(sinsjax: Command) -> None:
     assert files.find_study_file("reset_sweep").samefile("reset_sweep.toml")
 
 
-def test_init_copies_study_file_with_comments(sinsjax: Command) -> None:
+def test_init_copies_study_file_with_comments(sinsjax):
     code, told, error = sinsjax("init", "reset_sweep")
     assert (code, error) == (0, "") and "sinsjax validate reset_sweep.toml" in told
     schema, _, text = Path("reset_sweep.toml").read_text().partition("\n")
@@ -44,13 +43,13 @@ def test_init_copies_study_file_with_comments(sinsjax: Command) -> None:
 
 
 @pytest.mark.parametrize("name", files.TEMPLATES)
-def test_templates_are_valid(sinsjax: Command, name: str) -> None:
+def test_templates_are_valid(sinsjax, name):
     assert sinsjax("init", name)[0] == 0
     code, told, error = sinsjax("validate", name)
     assert (code, error) == (0, "") and f"{name}.toml: valid; " in told
 
 
-def test_errors_of_shipped_studies_name_the_study(sinsjax: Command) -> None:
+def test_errors_of_shipped_studies_name_the_study(sinsjax):
     Path("mine.toml").write_text((CONFIGS / "reset_sweep.toml").read_text())
     for given, name in {"reset_sweep": "reset_sweep", "mine": "mine.toml"}.items():
         _, _, error = sinsjax("validate", given, "--set", "alignment.foo=3")
@@ -59,10 +58,8 @@ def test_errors_of_shipped_studies_name_the_study(sinsjax: Command) -> None:
     assert code == 0 and told.startswith("reset_sweep: valid; ")
 
 
-def test_study_file_is_written_whole_or_not_at_all(
-    sinsjax: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_: int) -> None:
+def test_study_file_is_written_whole_or_not_at_all(sinsjax, tmp_path, monkeypatch):
+    def full(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
@@ -79,7 +76,7 @@ def test_study_file_is_written_whole_or_not_at_all(
     assert Path("sweep.toml").read_bytes() == written and not Path("nowhere").exists()
 
 
-def test_validate_reports_all_errors_of_a_stage(sinsjax: Command) -> None:
+def test_validate_reports_all_errors_of_a_stage(sinsjax):
     """First those of names; once these are right, those of values."""
     tables = small_tables(study={"draws": 0}, axes={"phi_u0_deg": [0, "x", 400]})
     for more, places in (
@@ -110,19 +107,19 @@ def test_validate_reports_all_errors_of_a_stage(sinsjax: Command) -> None:
     ],
     ids=lambda text: text[:50],
 )
-def test_wrong_command_line_gives_one_line_error(sinsjax: Command, words: str, named: str) -> None:
+def test_wrong_command_line_gives_one_line_error(sinsjax, words, named):
     code, told, error = sinsjax(*words.split())
     assert (code, told, error.count("\n")) == (2, "", 1)
     assert error.startswith("error: ") and named in error and not Path("out").exists()
 
 
-def test_validate_reports_planned_runs_and_cost(sinsjax: Command) -> None:
+def test_validate_reports_planned_runs_and_cost(sinsjax):
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
 
 
-def test_replace_changes_given_keys_and_what_follows_from_them() -> None:
+def test_replace_changes_given_keys_and_what_follows_from_them():
     study = package.load_study("reset_sweep")
     assert study.replace({}) == study
     assert study.replace({"alignment.phi_u0_deg": 12.0}).n_variants == 56
@@ -135,7 +132,7 @@ def test_replace_changes_given_keys_and_what_follows_from_them() -> None:
     assert paper.replace({"cases": paper.to_dict()["cases"][:1]}).values("case") == ["condition 1"]
 
 
-def test_keys_command_explains_key_and_section(sinsjax: Command) -> None:
+def test_keys_command_explains_key_and_section(sinsjax):
     code, told, _ = sinsjax("keys", "reset_count")
     assert code == 0 and told.startswith("[resets] reset_count: default 0; methods: all but ")
     assert sinsjax("keys", "earth")[1].count("[earth]") == 6

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -59,16 +58,14 @@ NAMED = (
 class Sweeps:
     """Processes that sweep into one directory, and when each part was written there."""
 
-    def __init__(self, folder: Path, out: Path) -> None:
+    def __init__(self, folder, out):
         self.out, self._folder = out, folder
-        self.made: dict[str, int] = {}
+        self.made = {}
         self.study = folder / "study.toml"
         self.study.write_text(study_to_toml(STUDY))
-        self._all: list[subprocess.Popen] = []
+        self._all = []
 
-    def start(
-        self, *options: str, point: tuple[str, str, int] = NEVER, pause_s: float = 0.0
-    ) -> subprocess.Popen:
+    def start(self, *options, point=NEVER, pause_s=0.0):
         """Return a process that is killed at a point, and waits after each part."""
         words = ["sweep", self.study, "-o", self.out, "--chunk-runs", CHUNK_RUNS, *options]
         paths = os.pathsep.join(map(str, (ROOT, ROOT / "tests")))
@@ -83,16 +80,16 @@ class Sweeps:
         self._all.append(process)
         return process
 
-    def complete(self, *options: str) -> str:
+    def complete(self, *options):
         """Sweep on to the end, without an error; return what is printed."""
         code, told, error = ended(self.start("--resume", *options))
         assert (code, error) == (0, "")
         return told
 
-    def count(self) -> int:
+    def count(self):
         return len(list(self.out.glob("summary/*.parquet")))
 
-    def start_and_wait(self) -> subprocess.Popen:
+    def start_and_wait(self):
         """Return a process that has written another part."""
         there, since = self.count(), time.monotonic()
         process = self.start("--resume", pause_s=0.2)
@@ -102,7 +99,7 @@ class Sweeps:
             time.sleep(0.002)
         return process
 
-    def assert_sound(self, whole: Path) -> None:
+    def assert_sound(self, whole):
         """Check that what is there is part of the whole, and that no part was lost or made twice.
 
         Curves go first: of the runs with a summary, they are there.
@@ -119,26 +116,26 @@ class Sweeps:
             assert 2 * len(runs) == CHUNK_RUNS * len(done)
             assert read_curves(self.out, runs).num_rows == 3 * len(runs)
 
-    def close(self) -> None:
+    def close(self):
         """End the remaining processes."""
         for process in self._all:
             process.kill()
             process.communicate()
 
 
-def ended(process: subprocess.Popen) -> tuple[int, str, str]:
+def ended(process):
     """Return exit code, output and error output of a process that ends by itself."""
     output, error = process.communicate(timeout=DEADLINE_S)
     return process.returncode, output, error
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("kills")
 
 
 @pytest.fixture(scope="module")
-def whole(folder: Path) -> Path:
+def whole(folder):
     """Results of an uninterrupted run on one device; all other runs here use two."""
     sweeps = Sweeps(folder, folder / "whole")
     sweeps.complete("--devices", "1")
@@ -147,13 +144,13 @@ def whole(folder: Path) -> Path:
 
 
 @pytest.fixture
-def sweeps(folder: Path, whole: Path, tmp_path: Path) -> Iterator[Sweeps]:
+def sweeps(folder, whole, tmp_path):
     sweeps = Sweeps(folder, tmp_path / "out")
     yield sweeps
     sweeps.close()
 
 
-def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Path) -> None:
+def test_sweep_resumes_after_twenty_kills_without_loss(sweeps, whole):
     """Ten kills at named points, ten spread over the sweep, all on one directory."""
     chance, chunk_s = random.Random(5), read_manifest_entries(whole)["wall_s"] / CHUNKS
     named = iter(NAMED)
@@ -176,7 +173,7 @@ def test_sweep_resumes_after_twenty_kills_without_loss(sweeps: Sweeps, whole: Pa
     assert_complete(sweeps.out, whole)
 
 
-def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole: Path) -> None:
+def test_second_writer_is_refused_until_first_process_dies(sweeps, whole):
     """The lock is the operating system's, so it is released however the process dies."""
     first = sweeps.start_and_wait()
     first.send_signal(signal.SIGSTOP)  # holds on, and writes no more
@@ -193,7 +190,7 @@ def test_second_writer_is_refused_until_first_process_dies(sweeps: Sweeps, whole
 
 
 @pytest.mark.parametrize("file", ["*/manifest.json", "summary/*"])
-def test_killed_extension_keeps_existing_results(sweeps: Sweeps, whole: Path, file: str) -> None:
+def test_killed_extension_keeps_existing_results(sweeps, whole, file):
     """No part of the results is replaced, so their number never decreases."""
     out, more = Path(shutil.copytree(whole, sweeps.out)), ("--draws", "200")
     parts, times = read_parts(out), modification_times(out)

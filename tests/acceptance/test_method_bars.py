@@ -3,7 +3,6 @@
 import tomllib
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +15,11 @@ import sinsjax
 pytestmark = [pytest.mark.nightly, pytest.mark.optimised(False)]
 
 CONFIG = Path(__file__).parents[2] / "configs" / "paper1_conditions.toml"
-PAPER: dict[str, Any] = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
+PAPER = tomllib.loads(CONFIG.read_text(encoding="utf-8"))
 Start = tuple[int, int, int]
 
 
-def cases(methods: list[tuple[str, Start]]) -> list[dict[str, Any]]:
+def cases(methods):
     """Return [[cases]] of methods and initial misalignments, Euler angles, deg."""
     return [
         {"case": f"{method} {e} {n} {u}", "method": method}
@@ -29,7 +28,7 @@ def cases(methods: list[tuple[str, Start]]) -> list[dict[str, Any]]:
     ]
 
 
-STARTS: list[Start] = [(0, 0, 30), (5, 5, 30), (20, 20, 120), (10, 10, 80), (0, 0, 170)]
+STARTS = [(0, 0, 30), (5, 5, 30), (20, 20, 120), (10, 10, 80), (0, 0, 170)]
 SMALL = (5, 5, 30)
 DRAWS, END_S = 256, 300
 BARS = {"kalman_sincos": 130.0, "optimisation": 120.0}
@@ -39,19 +38,19 @@ FROM_SMALL = {"ekf_azimuth": 215.0, "invariant": 215.0}
 CASES = [*product(BARS, STARTS), *product(FROM_SMALL, [SMALL])]
 
 
-def heading_bound_arcmin(t: float) -> float:
+def heading_bound_arcmin(t):
     """Return the 1 sigma bound of phi_u after t (s): white noise of [P1], 100 Hz."""
     north = 15.041067 * DEG / 3600 * np.cos(32 * DEG)
     return 2 * 500e-6 * np.sqrt(3 / (100 * t)) / (north * t) / DEG * 60
 
 
-def better_median(times: np.ndarray) -> float:
+def better_median(times):
     """Return the better end of the median's interval, by order statistics."""
     return float(np.sort(times)[int(stats.binom.ppf(0.025, DRAWS, 0.5))])
 
 
 @pytest.fixture(scope="module")
-def results() -> dict[tuple[str, Start], tuple[np.ndarray, np.ndarray]]:
+def results():
     """Errors from the floor (draws, records), arcmin, and times to 10' (draws,), s, by case."""
     data = PAPER | {"cases": cases(CASES)}
     data["study"] = PAPER["study"] | {

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +18,7 @@ TOLERANCES = {"arcmin": (0, 1e-6), "deg": (0, 1e-8)}
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("method", ["kalman5", "compass"])
-def test_rows_agree_between_instruction_sets(method: str, tmp_path: Path) -> None:
+def test_rows_agree_between_instruction_sets(method, tmp_path):
     """With SSE4.2, which has half the vector of AVX2 and no fused multiply-add."""
     study = small_study(
         study={"duration_s": 60.0, "window_s": [20, 60], "draws": 4},

@@ -6,10 +6,8 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
-from support.commands import Command
 
 import sinsjax as package
 
@@ -30,7 +28,7 @@ PRINTED = {
 """Tutorials, and what a command or block of code prints besides what the page shows below it."""
 
 
-def blocks(page: str) -> list[tuple[str, str]]:
+def blocks(page):
     """Return language and text of the fenced blocks of a page; commands have no language."""
     text = (ROOT / page).read_text(encoding="utf-8")
     return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
@@ -38,9 +36,7 @@ def blocks(page: str) -> list[tuple[str, str]]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("page", PRINTED)
-def test_tutorial_runs_and_prints_what_it_shows(
-    page: str, sinsjax: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tutorial_runs_and_prints_what_it_shows(page, sinsjax, capsys):
     told, names = [""], dict[str, object]()
     for language, text in blocks(f"docs/{page}.md"):
         if language == "toml":
@@ -58,7 +54,7 @@ def test_tutorial_runs_and_prints_what_it_shows(
     assert any(re.search(PRINTED[page], out) for out in told), told
 
 
-def assert_same_but_for_last_digits(here: str, there: str) -> None:
+def assert_same_but_for_last_digits(here, there):
     """Two texts with the same words and, on another machine, nearly the same numbers."""
     number = r"\d+(?:\.\d+)?"
     assert re.sub(number, "#", here).split() == re.sub(number, "#", there).split()
@@ -67,9 +63,7 @@ def assert_same_but_for_last_digits(here: str, there: str) -> None:
 
 
 @pytest.mark.nightly
-def test_readme_example_and_first_command_print_what_is_shown(
-    sinsjax: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_readme_example_and_first_command_print_what_is_shown(sinsjax, capsys):
     (example,) = (text for language, text in blocks("README.md") if language == "python")
     _, sweep, rows = (text for language, text in blocks("README.md") if language == "text")
     exec(compile(example, "README.md", "exec"), {})
@@ -82,7 +76,7 @@ def test_readme_example_and_first_command_print_what_is_shown(
         assert_same_but_for_last_digits(here, there)
 
 
-def test_release_has_one_version_and_date_everywhere() -> None:
+def test_release_has_one_version_and_date_everywhere():
     """Also that of the package as installed."""
     files = ("pyproject.toml", "CITATION.cff", "CHANGELOG.md", "docs/start.md")
     project, citation, changes, start = ((ROOT / name).read_text("utf-8") for name in files)
@@ -94,7 +88,7 @@ def test_release_has_one_version_and_date_everywhere() -> None:
 
 # Docstrings: each public name has an example
 
-EXAMPLES: dict[str, Any] = {name: getattr(package, name) for name in package.__all__}
+EXAMPLES = {name: getattr(package, name) for name in package.__all__}
 """All public objects by name, with the methods of studies and results."""
 for cls in (package.Results, package.Study):
     shown = {"read", *dir(package.load_study("reset_sweep"))}
@@ -114,7 +108,7 @@ SLOW = {
 
 @pytest.mark.nightly(fast=sorted(EXAMPLES.keys() - SLOW))
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
-def test_docstring_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_docstring_example_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(EXAMPLES[name]) or ""
     test = doctest.DocTestParser().get_doctest(text, {"sinsjax": package}, name, None, None)

@@ -18,7 +18,7 @@ STUDY = re.findall(r"^```toml\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)[-1]
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """Folder in which the example package is installed."""
     build = pytest.importorskip("hatchling.build")
     folder = tmp_path_factory.mktemp("site")
@@ -29,7 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sinsjax_with(site: Path, cwd: Path, command: str) -> tuple[int, str, str]:
+def sinsjax_with(site, cwd, command):
     """Run a command line in a process that finds the package; exit code, output, errors."""
     paths = f"{site}{os.pathsep}{EXAMPLE.parents[1]}"
     words = [sys.executable, "-m", "sinsjax", *command.split()]
@@ -40,9 +40,7 @@ def sinsjax_with(site: Path, cwd: Path, command: str) -> tuple[int, str, str]:
 
 @pytest.mark.nightly
 @pytest.mark.optimised(False)
-def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
-    site: Path, tmp_path: Path
-) -> None:
+def test_plugin_method_is_explained_and_swept_beside_built_in_methods(site, tmp_path):
     (tmp_path / "averages.toml").write_text(STUDY)
     code, told, error = sinsjax_with(site, tmp_path, "keys averaged")
     assert (code, error) == (0, "") and "package: averaged-alignment 1.0" in told
@@ -57,9 +55,7 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(
 
 
 @pytest.mark.nightly
-def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(
-    site: Path, tmp_path: Path
-) -> None:
+def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(site, tmp_path):
     (tmp_path / "averages.toml").write_text(STUDY)
     changed = Path(shutil.copytree(site, tmp_path / "site"))
     method = changed / "averaged_alignment" / "method.py"

@@ -1,7 +1,5 @@
 """Studies of repeated passes, forward and backward: from the study to the rows of its tables."""
 
-from typing import Any
-
 import numpy as np
 import pyarrow.compute as pc
 import pytest
@@ -14,23 +12,22 @@ from sinsjax.execution import run as study_run
 from sinsjax.records import Reference
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import study_from_dict
-from sinsjax.study.study import Study
 
 pytestmark = pytest.mark.optimised(False)
 
-QUICK: dict[str, Any] = {
+QUICK = {
     "alignment": {"method": "compass", "phi_e0_deg": 0.1, "phi_n0_deg": -0.1, "phi_u0_deg": 1.0},
     "compass": {"level_sigma_per_s": 0.5, "level_time_s": 2.0, "azimuth_sigma_per_s": 0.05},
 }
 
 
-def repeating(**tables: Any) -> Study:
+def repeating(**tables):
     """Return a study of two draws of 8 s with curves."""
     settings = {"duration_s": 8.0, "draws": 2, "window_s": [1, 3], "curves": True}
     return small_study(study=settings, **tables)
 
 
-def test_stored_times_and_pass_numbers_follow_passes() -> None:
+def test_stored_times_and_pass_numbers_follow_passes():
     """Times by hand."""
     for passes, times, numbers in (
         ({"stored_s": 3.0}, [1, 2, 3, 2, 1, 0, 1, 2], [1, 1, 1, 2, 2, 2, 3, 3]),
@@ -47,7 +44,7 @@ def test_stored_times_and_pass_numbers_follow_passes() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.optimised(True)
-def test_single_pass_of_full_duration_gives_identical_results() -> None:
+def test_single_pass_of_full_duration_gives_identical_results():
     """The program that could turn gives what the one that cannot does, for any method."""
     methods = {"axes": {"method": ["compass", "kalman5"]}, "compass": QUICK["compass"]}
     plain = study_run.run(repeating(**methods))
@@ -58,7 +55,7 @@ def test_single_pass_of_full_duration_gives_identical_results() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.optimised(True)
-def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
+def test_swept_stored_durations_give_same_rows_as_each_alone():
     """Every bit is equal, though the parts share a record of one length."""
     together = study_run.run(repeating(passes={}, axes={"stored_s": [3.0, 4.0]}, **QUICK))
     alone = study_run.run(repeating(passes={"stored_s": 3.0}, **QUICK))
@@ -70,7 +67,7 @@ def test_swept_stored_durations_give_same_rows_as_each_alone() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("method", ["compass", "kalman10"])
-def test_error_free_run_keeps_true_attitude_over_every_pass(method: str) -> None:
+def test_error_free_run_keeps_true_attitude_over_every_pass(method):
     """The reference of a run is the attitude at its place in the record, also backward."""
     start = {"method": method, "phi_e0_deg": 0.0, "phi_n0_deg": 0.0, "phi_u0_deg": 0.0}
     loops = {"compass": QUICK["compass"]} if method == "compass" else {}
@@ -85,7 +82,7 @@ def test_error_free_run_keeps_true_attitude_over_every_pass(method: str) -> None
 
 
 @pytest.mark.nightly
-def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
+def test_carried_covariance_is_overconfident_after_repeated_passes():
     """One pass is consistent; N passes count as N times the data, so P_UU is N times too small.
 
     The error itself stays: repetition adds no information. Truth is what the filter believes but
@@ -113,7 +110,7 @@ def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
     }
     rows = study_run.run(study_from_dict(tables)).summary
 
-    def mean_and_half_width(key: str, passes: int, turn: str) -> tuple[float, float]:
+    def mean_and_half_width(key, passes, turn):
         """The mean over all runs and its 95 % half-width over the draws."""
         own = (pc.field("passes") == passes) & (pc.field("turn_covariance") == turn)
         values = np.array(rows.filter(own).sort_by("draw_id")[key]).reshape(64, -1).mean(axis=1)
@@ -138,7 +135,7 @@ def test_carried_covariance_is_overconfident_after_repeated_passes() -> None:
 SWING = {"pitch_amplitude_deg": 4.0, "pitch_period_s": 7.0, "yaw_center_deg": 10.0}
 
 
-def on_record(reference_s: float, **passes: Any) -> tuple[Study, StoredRecord]:
+def on_record(reference_s, **passes):
     """Return a study of two starts on a record of 20 s, and the record with a shorter reference."""
     times = {"duration_s": 20.0, "rate_hz": 50.0, "draws": 1}
     tables = {"study": times, "earth": {"latitude_deg": 32.0}, "motion": SWING}
@@ -154,7 +151,7 @@ def on_record(reference_s: float, **passes: Any) -> tuple[Study, StoredRecord]:
     return study_from_dict(tables | QUICK), StoredRecord(record, Reference(t, angles, None))
 
 
-def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
+def test_every_start_time_is_judged_by_reference_of_its_own_passes():
     group = batch_of(*on_record(20.0, stored_s=6.0))
     w, x, y, z = np.moveaxis(np.asarray(group.environment.attitudes)[group.draws.row], -1, 0)
     stored = np.array([1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, 0])
@@ -163,7 +160,7 @@ def test_every_start_time_is_judged_by_reference_of_its_own_passes() -> None:
     np.testing.assert_allclose(pitch_deg, 4 * np.sin(2 * np.pi * t / 7), rtol=0, atol=1e-4)
 
 
-def test_record_and_reference_must_cover_a_stored_pass() -> None:
+def test_record_and_reference_must_cover_a_stored_pass():
     """With two passes a run ends at the beginning of its record, which the reference covers."""
     with pytest.raises(InputError, match="has 20 s, but from start_s = 4 the study needs 17 s"):
         batches_of(*on_record(20.0, stored_s=11.0))
@@ -171,7 +168,7 @@ def test_record_and_reference_must_cover_a_stored_pass() -> None:
         batches_of(*on_record(13.0, stored_s=6.0, passes=2))
 
 
-def test_only_needed_part_of_record_is_loaded() -> None:
+def test_only_needed_part_of_record_is_loaded():
     """A run begins where its fine alignment does on the record."""
     study, stored = on_record(20.0, stored_s=6.0)
     part = batch_of(study.replace({"record.start_s": [4.0]}), stored)

@@ -1,14 +1,11 @@
 """`sinsjax tune` as a user types it: its files, its report, resuming, and mistakes."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import tomli_w
-from support.commands import Command
 from support.stored_results import report_text
 from support.studies import BASE, PAPER, write_swing_record
 from support.sweep_directories import read_files_and_times
@@ -18,7 +15,6 @@ from sinsjax.execution.directory import lock_directory
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.study.load import load_study, with_point
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, run_tuning, search
 from sinsjax.tuning.history import Evaluation, SearchResult
 from sinsjax.tuning.results import TuningResults
@@ -27,12 +23,12 @@ pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_re
 
 
 TIMES = {"low": 1.0, "high": 10.0}, {"low": 2.0, "high": 19.0}
-TUNE: dict[str, Any] = {
+TUNE = {
     **{"objective": "final_error", "objective_across": "worst", "searches": ["grid", "gradient"]},
     **{"tune_draws": 3, "evaluation_draws": 4, "grid_points": 3},
     "variables": {"reset_times_s": TIMES, "reset_count": {"candidates": [1, 2]}},
 }
-STUDY: dict[str, Any] = {
+STUDY = {
     **BASE,
     "study": {"name": "swing", "duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]},
     "resets": {"reset_count": 2, "reset_cycle_s": 5.0},
@@ -42,13 +38,13 @@ STUDY: dict[str, Any] = {
 COST = 3 * 2 * 400  # steps a point
 
 
-def write(path: Path, **changes: Any) -> Path:
+def write(path, **changes):
     """Write the file of `STUDY` with sections replaced."""
     path.write_text(tomli_w.dumps(STUDY | changes), encoding="utf-8")
     return path
 
 
-def descend(study: Study, stored: Any, *, on_progress: Any) -> SearchResult:
+def descend(study, stored, *, on_progress):
     """Return descents without running anything: two starts, the second of which ends best."""
     relaxed = [
         Evaluation(step, 1, [2.0 + step, 9.0], 9.0 - step, 4 * COST, start, 9.0, 2)
@@ -60,7 +56,7 @@ def descend(study: Study, stored: Any, *, on_progress: Any) -> SearchResult:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def faked() -> Iterator[None]:
+def faked():
     """Replace the gradient search by `descend`; nobody reads intervals, so resamples are few."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gradient, "descend", descend)
@@ -69,7 +65,7 @@ def faked() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def made(faked: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(faked, tmp_path_factory):
     """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
     run_tuning.tune(write(folder / "swing.toml"), folder / "out")
@@ -77,12 +73,12 @@ def made(faked: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def out(made: Path, tmp_path: Path) -> Path:
+def out(made, tmp_path):
     """Return a copy of that directory, to be changed."""
     return Path(shutil.copytree(made, tmp_path / "out"))
 
 
-def test_tuning_writes_searches_evaluation_and_tuned_study(made: Path) -> None:
+def test_tuning_writes_searches_evaluation_and_tuned_study(made):
     """The tuned study has the best point, and draws that neither tuned nor evaluated."""
     study, tuned = load_study(made / "study.toml"), load_study(made / "tuned.toml")
     assert study == load_study(made.parent / "swing.toml")
@@ -102,7 +98,7 @@ def test_tuning_writes_searches_evaluation_and_tuned_study(made: Path) -> None:
     assert tuned.seed not in (1, 2) and tuned.n_draws == study.n_draws
 
 
-def test_results_have_objectives_on_draws_that_did_not_tune(made: Path) -> None:
+def test_results_have_objectives_on_draws_that_did_not_tune(made):
     found, errors = TuningResults(made), dict[tuple[str, float], list[float]]()
     for row in read_summary(made / "evaluation").to_pylist():
         errors.setdefault((row["case"], row["phi_u0_deg"]), []).append(row["phi_u_arcmin"])
@@ -114,7 +110,7 @@ def test_results_have_objectives_on_draws_that_did_not_tune(made: Path) -> None:
     assert found.best == {"reset_times_s": [*found.study.reset_times()[0]]}
 
 
-def test_tuning_report_is_built_from_stored_files(out: Path, tmp_path: Path) -> None:
+def test_tuning_report_is_built_from_stored_files(out, tmp_path):
     said = report_text(out, html=tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     for text in (said, page):
@@ -124,7 +120,7 @@ def test_tuning_report_is_built_from_stored_files(out: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["history.parquet", "tuned.toml"])
-def test_damaged_file_is_named_and_made_again_by_resume(made: Path, out: Path, name: str) -> None:
+def test_damaged_file_is_named_and_made_again_by_resume(made, out, name):
     """Nothing else is computed again."""
     parts = read_files_and_times(out / "evaluation" / "summary")
     content = bytearray((out / name).read_bytes())
@@ -142,8 +138,8 @@ def test_damaged_file_is_named_and_made_again_by_resume(made: Path, out: Path, n
 
 
 @pytest.mark.nightly
-def test_any_flipped_bit_of_a_tuning_is_named_or_changes_nothing(out: Path) -> None:
-    def read_all() -> list[object]:
+def test_any_flipped_bit_of_a_tuning_is_named_or_changes_nothing(out):
+    def read_all():
         found = TuningResults(out)
         return [found.best, found.score, found.study, Results.read(out / "grid").summary]
 
@@ -162,7 +158,7 @@ def test_any_flipped_bit_of_a_tuning_is_named_or_changes_nothing(out: Path) -> N
         path.write_bytes(content)
 
 
-def test_resumed_tuning_descends_if_only_the_grid_is_complete(out: Path) -> None:
+def test_resumed_tuning_descends_if_only_the_grid_is_complete(out):
     study = load_study(out / "study.toml")
     grid, descents = history.read_searches(out, SearchSpace.from_study(study))
     history.write_history(out, study, [grid])
@@ -171,9 +167,7 @@ def test_resumed_tuning_descends_if_only_the_grid_is_complete(out: Path) -> None
     assert [one.search for one in found] == [grid.search, descents.search]
 
 
-def test_mistake_is_one_line_and_changes_nothing(
-    made: Path, sinsjax: Command, tmp_path: Path
-) -> None:
+def test_mistake_is_one_line_and_changes_nothing(made, sinsjax, tmp_path):
     config = made.parent / "swing.toml"
     before = read_files_and_times(made)
     other = write(tmp_path / "other.toml", tune=TUNE | {"grid_points": 4})
@@ -190,12 +184,10 @@ def test_mistake_is_one_line_and_changes_nothing(
     assert not Path("new").exists() and read_files_and_times(made) == before
 
 
-def test_stopped_overwrite_is_not_complete_and_leaves_no_temporary_files(
-    out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stopped_overwrite_is_not_complete_and_leaves_no_temporary_files(out, monkeypatch):
     """Only temporary files of its own are removed, no file of a person."""
 
-    def stopped(*_: Any, **__: Any) -> None:
+    def stopped(*_, **__):
         raise StudyInterrupted("no further")
 
     for name in (".study.toml.12.tmp", ".history.parquet.3456.tmp", "notes.tmp"):
@@ -209,7 +201,7 @@ def test_stopped_overwrite_is_not_complete_and_leaves_no_temporary_files(
         report_text(out)
 
 
-def test_tuning_beside_another_writer_is_refused(out: Path) -> None:
+def test_tuning_beside_another_writer_is_refused(out):
     """No results are written between two searches either."""
     held, before = lock_directory(out), read_files_and_times(out)
     with pytest.raises(InputError, match=r"out: another process is writing there"):
@@ -219,7 +211,7 @@ def test_tuning_beside_another_writer_is_refused(out: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_tune_on_stored_record_splits_start_times(tmp_path: Path, sinsjax: Command) -> None:
+def test_tune_on_stored_record_splits_start_times(tmp_path, sinsjax):
     """Every other start time tunes, the rest evaluate."""
     write_swing_record(tmp_path)
     variables = {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}

@@ -1,8 +1,5 @@
 """Gradient search: gradients against differences, parameters by variables, descents, cost."""
 
-from pathlib import Path
-from typing import Any
-
 import jax
 import numpy as np
 import optax
@@ -14,26 +11,25 @@ from support.studies import STILL, small_study
 import sinsjax
 from sinsjax.engine.scenario import Scenario
 from sinsjax.study.search_space import SearchSpace
-from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, objective, search
 from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
 
 
-def log(low: float, high: float) -> dict[str, Any]:
+def log(low, high):
     return {"low": low, "high": high, "scale": "log"}
 
 
-def logs(**ends: tuple[float, float]) -> dict[str, Any]:
+def logs(**ends):
     return {key: log(*both) for key, both in ends.items()}
 
 
-def linear(low: float, high: float) -> dict[str, Any]:
+def linear(low, high):
     return {"low": low, "high": high}
 
 
-def tuned(variables: dict[str, Any], sections: dict[str, Any], **tune: Any) -> Study:
+def tuned(variables, sections, **tune):
     tune = {"searches": ["gradient"], "tune_draws": 2, "variables": variables} | tune
     return small_study(**sections, tune=tune)
 
@@ -80,7 +76,7 @@ STUDIES = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", STUDIES)
-def test_gradients_match_finite_differences(name: str) -> None:
+def test_gradients_match_finite_differences(name):
     """Central differences; every point has a lane.
 
     The step of times is so small that no sample crosses the edge of a window, where the slope has
@@ -102,17 +98,17 @@ def test_gradients_match_finite_differences(name: str) -> None:
 class MadeUpRuns(Slope):
     """Runs whose values are linear in the variables, with these slopes."""
 
-    def __init__(self, study: Study, slopes: np.ndarray) -> None:
+    def __init__(self, study, slopes):
         assert study.tune is not None
         self._tune, self._slopes, self._programs = study.tune, slopes, [self]
 
-    def run(self, box: np.ndarray, *_: Any) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, box, *_):
         values = 2.0 + np.einsum("vdp,sp->svd", self._slopes, box)
         return values, np.broadcast_to(self._slopes, (*values.shape, box.shape[1]))
 
 
 @pytest.mark.parametrize("what", ["settle_quantile", "final_error"])
-def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> None:
+def test_gradient_of_objective_weights_runs_as_the_objective_does(what):
     """Two descents of two variants, three draws and two variables; the worst variant counts."""
     study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across="worst")
     slope = MadeUpRuns(study, np.random.default_rng(3).normal(size=(2, 3, 2)))
@@ -123,10 +119,10 @@ def test_gradient_of_objective_weights_runs_as_the_objective_does(what: str) -> 
         np.testing.assert_allclose(by_box[:, variable], (ahead - behind) / 2e-6, rtol=1e-5)
 
 
-def test_relaxed_score_is_near_hard_score() -> None:
+def test_relaxed_score_is_near_hard_score():
     runs = np.random.default_rng(7).random((2, 3, 5)) + 0.5
 
-    def ratio(**tune: Any) -> np.ndarray:
+    def ratio(**tune):
         """Return the relaxed score over the hard one, at two points."""
         section = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, **tune).tune
         assert section is not None
@@ -141,7 +137,7 @@ def test_relaxed_score_is_near_hard_score() -> None:
     np.testing.assert_allclose(ratio(objective="settle_quantile"), expected, rtol=1e-9)
 
 
-MOVED: dict[str, Study] = STUDIES | {
+MOVED = STUDIES | {
     "reset covariance that follows p0": tuned(
         logs(p0_gyro_bias_deg_per_h=(1.0, 100.0)) | {"reset_cycle_s": linear(8.0, 16.0)},
         {"study": SHORT, "resets": {"reset_count": 3, "reset_cycle_s": 10.0}}
@@ -156,7 +152,7 @@ MOVED: dict[str, Study] = STUDIES | {
 
 
 @pytest.mark.parametrize("name", MOVED)
-def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> None:
+def test_params_at_a_point_are_those_of_the_study_with_its_keys(name):
     """At every combination of candidates; some have nothing to move."""
     study = MOVED[name]
     space = SearchSpace.from_study(study)
@@ -175,9 +171,7 @@ def test_params_at_a_point_are_those_of_the_study_with_its_keys(name: str) -> No
             np.testing.assert_allclose(leaf, other, rtol=1e-12)
 
 
-def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(monkeypatch):
     """The law is among the points of the screen; it is scored on all draws at the end anyway."""
     length = {"duration_s": 20.0, "rate_hz": 20.0, "window_s": [10, 20]}
     study = tuned(
@@ -187,13 +181,13 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(
         **{"descent_screen": 4, "descent_starts": 2, "descent_steps": 3},
     )
     law, *_ = search.design_points(study, "sobol")
-    seen: list[list[int]] = []
+    seen = []
 
-    def slope(_: Any, box: np.ndarray, draws: np.ndarray, *__: Any) -> tuple[np.ndarray, ...]:
+    def slope(_, box, draws, *__):
         seen.append(draws.tolist())
         return np.zeros(len(box)), np.ones(box.shape)
 
-    def score(_: Study, __: Any, points: Any, draws: int | None = None) -> search.PointScores:
+    def score(_, __, points, draws=None):
         scores = [abs(np.subtract(point.values, law.values)).sum() for point in points]
         return search.PointScores(scores, [0])
 
@@ -209,7 +203,7 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(
     assert ends[-1].values == pytest.approx(law.values) and found.best == ends[-1]
 
 
-def test_study_without_gradient_is_refused_before_running(tmp_path: Path) -> None:
+def test_study_without_gradient_is_refused_before_running(tmp_path):
     resets = {"reset_times_s": [2.0], "reset_at_feedback": True}
     variables = {"reset_times_s": [linear(1.0, 3.0)]}
     study = tuned(variables, {"resets": resets}, searches=["sobol", "gradient"])
