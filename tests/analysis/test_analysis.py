@@ -182,12 +182,9 @@ def variant_table(n=40):
     for times, slower, failing in (([], 0.0, 0), ([50.0], 30.0, 0), ([50.0, 100.0], 60.0, 25)):
         settle = 100.0 + shared + slower
         settle[:failing] = np.nan
-        part = summary_table(
-            n,
-            settle_10_s=settle,
-            status=["not_settled"] * failing + ["ok"] * (n - failing),
-            phi_u_mean_arcmin=-27.0 + shared * (1.0 + slower / 60.0),
-        )
+        status = ["not_settled"] * failing + ["ok"] * (n - failing)
+        yaw = -27.0 + shared * (1.0 + slower / 60.0)
+        part = summary_table(n, settle_10_s=settle, status=status, phi_u_mean_arcmin=yaw)
         parts.append(with_times(part, times).take(random.permutation(n)))
     return parts
 

@@ -94,10 +94,8 @@ def test_map_of_unusable_runs_is_refused(table, value, line):
 
 
 def test_infinite_values_are_marked_as_never_clear_of_the_other_line():
-    statistics = {"settle_10_s_median": "time (s)"}
-    figure = sinsjax.plot_compare(
-        run_table(), "phi_u0_deg", by="reset_count", statistics=statistics
-    )
+    table, statistics = run_table(), {"settle_10_s_median": "time (s)"}
+    figure = sinsjax.plot_compare(table, "phi_u0_deg", by="reset_count", statistics=statistics)
     crosses = [line for line in figure.axes[0].get_lines() if line.get_marker() == "x"]
     places = [list(line.get_xdata()) for line in crosses if len(line.get_xdata())]
     assert places == [[pytest.approx(30.0, abs=0.5)]] and places[0][0] != 30.0
@@ -159,6 +157,8 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert reset.get_xdata()[0] == 1.0
     assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
     assert len(second.get_lines()) == 2  # neither resets nor a floor
+    with pytest.raises(InputError, match="no curves of these runs"):
+        sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
 
 
 def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
@@ -173,11 +173,6 @@ def test_figure_without_any_heading_shows_level_errors_or_pitch_and_roll(truth, 
     figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
     assert len(figure.axes) == panels
     assert figure.get_suptitle() == ("Level error" if truth else "Attitude")
-
-
-def test_curves_of_other_runs_are_refused():
-    with pytest.raises(InputError, match="no curves of these runs"):
-        sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
 
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):
