@@ -6,8 +6,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import optimize, stats
 
 import sinsjax
@@ -16,22 +14,13 @@ from sinsjax.analysis import Estimate, estimates, summaries
 from sinsjax.analysis.labels import format_time_difference
 
 NEVER, NAN = math.inf, math.nan
-DIFFERENCES = [
-    analysis.mean_difference,
-    analysis.quantile_difference,
-    analysis.proportion_difference,
-]
+PAIRED = [analysis.mean_difference, analysis.quantile_difference, analysis.proportion_difference]
 
 
 @pytest.mark.parametrize(
     ("estimate", "text", "as_difference"),
     [
         (Estimate(12.31, 11.88, 12.84, 5), "12 [12, 13]", "12 [12, 13]"),
-        (
-            Estimate(NEVER, 300.0, NEVER, 5),
-            "never [300, never]",
-            "it never settles [300, it never settles]",
-        ),
         (Estimate(NEVER, NEVER, NEVER, 5), "never", "it never settles"),
         (Estimate(-NEVER, -NEVER, 0.0, 5), "-never [-never, 0]", "the first never settles"),
         (Estimate(1.0, NAN, 2.0, 9), "1 [few draws, 2]", "1 [few draws, 2]"),
@@ -59,16 +48,13 @@ def test_docstring_examples_run():
         (analysis.mean, [[[1.0, 2.0]]], "one or more values"),
         (analysis.quantile, [[1.0, 2.0], 1.5], "0 <= q <= 1"),
         (analysis.mean, [[1.0, 2.0, 3.0], [0, 1]], "3 values need as many clusters, got 2"),
-        *((compare, [[1.0, 2.0], [1.0]], "equal lengths") for compare in DIFFERENCES),
-        *((compare, [[], []], "one or more values") for compare in DIFFERENCES),
+        *((compare, [[1.0, 2.0], [1.0]], "equal lengths") for compare in PAIRED),
+        *((compare, [[], []], "one or more values") for compare in PAIRED),
     ],
 )
 def test_unusable_values_are_refused(statistic, values, message):
     with pytest.raises(ValueError, match=message):
         statistic(*values)
-
-
-# --- shares and quantiles -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 1), (1, 1), (0, 64), (61, 64), (64, 64), (500, 1000)])
@@ -82,8 +68,8 @@ def test_share_interval_of_independent_runs_is_clopper_pearson(k, n):
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 8, 13, 16, 33, 64])
 @pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
 def test_quantile_interval_is_narrowest_allowed_by_binomial_law(n, q):
-    values = np.random.default_rng(n).permutation([*np.arange(1.0, n), NEVER])
-    ordered, share, tail = sorted(values), Fraction(str(q)), Fraction(25, 1000)
+    values = np.random.default_rng(n).permutation([*np.arange(1.0, n), NAN])
+    ordered, share, tail = [*range(1, n), NEVER], Fraction(str(q)), Fraction(25, 1000)
 
     def at_most(k):
         """Probability that at most k values lie below their quantile."""
@@ -94,15 +80,8 @@ def test_quantile_interval_is_narrowest_allowed_by_binomial_law(n, q):
     found = analysis.quantile(values, q)
     assert found.low == ordered[lows[-1] - 1] if lows else math.isnan(found.low)
     assert found.high == ordered[highs[0] - 1] if highs else math.isnan(found.high)
-
-
-def test_quantile_counts_unsettled_runs_as_never():
-    assert analysis.quantile([NAN] * 64) == Estimate(NEVER, NEVER, NEVER, 64)
-    assert analysis.quantile([10.0] * 32 + [NAN] * 32) == Estimate(10.0, 10.0, NEVER, 64)
-    assert analysis.quantile([10.0] * 31 + [NAN] * 33).value == NEVER
-
-
-# --- means and spreads --------------------------------------------------------------------------
+    thrice = analysis.quantile(np.repeat(values, 3), q, np.repeat(np.arange(n), 3))
+    np.testing.assert_array_equal(thrice[:3], found[:3])
 
 
 def test_mean_interval_of_symmetric_values_is_student_t():
@@ -163,13 +142,8 @@ def test_too_few_values_have_no_interval_and_constant_ones_no_width():
     assert np.isnan(analysis.rms([1.0, 2.0, 4.0, 7.0])[1:3]).all()
     assert analysis.mean([2.0, 2.0, 2.0]) == Estimate(2.0, 2.0, 2.0, 3)
     assert analysis.rms([0.0, 0.0, 0.0]) == Estimate(0.0, 0.0, 0.0, 3)
-    for values in ([5.0], [NAN, 5.0], [NAN]):
-        n, found = np.isfinite(values).sum(), analysis.mean(values)
-        assert found.n == n and found.value == 5.0 if n else math.isnan(found.value)
-        assert np.isnan(found[1:3]).all()
-
-
-# --- paired differences -------------------------------------------------------------------------
+    np.testing.assert_array_equal(analysis.mean([NAN, 5.0]), [5.0, NAN, NAN, 1])
+    np.testing.assert_array_equal(analysis.mean([NAN]), [NAN, NAN, NAN, 0])
 
 
 def test_difference_matches_paired_t_test():
@@ -205,14 +179,6 @@ def test_proportion_difference_interval_matches_newcombe_examples(table, interva
     assert swapped[:3] == pytest.approx((-found.value, -found.high, -found.low))
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_proportion_difference_of_equal_shares_has_nonzero_width(share):
-    same = np.full(64, share)
-    wilson = stats.binomtest(int(64 * share), 64).proportion_ci(0.95, "wilson")
-    reach = wilson.high - wilson.low
-    assert analysis.proportion_difference(same, same)[:3] == pytest.approx((0.0, -reach, reach))
-
-
 def test_quantile_difference_resamples_pairs_together_and_alike_in_blocks(monkeypatch):
     random = np.random.default_rng(6)
     b = random.uniform(50, 150, 40)
@@ -240,12 +206,6 @@ def test_quantile_difference_with_unsettled_runs(a, b, expected):
     assert found.n == len(a)
 
 
-# --- dependent runs: by draw, and none on a record -----------------------------------------------
-
-DRAWS, VARIANTS = 16, 12
-LEAST = 0.025 ** (1 / 16)  # of 16 successes of 16
-
-
 def flatten_draws(values):
     """Return values (draws, variants) as runs, with the draw of each."""
     draws = np.broadcast_to(np.arange(len(values))[:, None], np.shape(values))
@@ -253,20 +213,13 @@ def flatten_draws(values):
 
 
 def test_mean_of_equal_draws_is_student_interval_of_draw_means():
-    values = np.random.default_rng(2).normal(size=(DRAWS, 1)) + np.zeros((DRAWS, VARIANTS))
-    values += np.random.default_rng(3).normal(0, 0.3, values.shape)
+    random = np.random.default_rng(2)
+    values = random.normal(size=(16, 1)) + random.normal(0, 0.3, (16, 12))
     runs, draws = flatten_draws(values)
     found, by_draw = analysis.mean(runs, draws), analysis.mean(values.mean(axis=1))
-    assert found[:3] == pytest.approx(by_draw[:3]) and found.n == DRAWS * VARIANTS
+    assert found[:3] == pytest.approx(by_draw[:3]) and found.n == 192
     holed = np.append(runs, [math.inf, math.nan])
     assert analysis.mean(holed, np.append(draws, [0, 99])) == found
-
-
-def test_share_that_all_draws_have_is_bounded_by_one_unseen_kind_of_draw():
-    """2 of 8 starts settle in each of 16 draws: by hand, 2.5 % quantiles of Beta(16, 1)."""
-    flags, draws = flatten_draws(np.tile(np.arange(8) < 2, (16, 1)))
-    assert analysis.share(flags, draws)[1:3] == pytest.approx((LEAST / 4, 1 - LEAST * 3 / 4))
-    assert analysis.share(flags >= 0, draws)[1:3] == pytest.approx((LEAST, 1.0))
 
 
 @pytest.mark.parametrize("sizes", [[12] * 16, [5, 12, 1, 7, 12, 12, 3, 8]])
@@ -285,22 +238,6 @@ def test_share_ends_are_quantiles_of_dirichlet_weighted_share(sizes):
     assert analysis.share(flags, draw)[1:3] == pytest.approx(expected, abs=2e-3)
 
 
-FLAGS = st.lists(st.lists(st.booleans(), min_size=1, max_size=8), min_size=2, max_size=20)
-
-
-@given(FLAGS, st.integers(0, 10**6))
-def test_share_ends_never_rise_with_further_failure(flags, chosen):
-    draws = np.repeat(np.arange(len(flags)), [len(one) for one in flags])
-    runs = np.concatenate(flags)
-    found = analysis.share(runs, draws)
-    assert 0 <= found.low <= found.value <= found.high <= 1
-    succeeded = np.flatnonzero(runs)
-    if succeeded.size:
-        runs[succeeded[chosen % succeeded.size]] = False
-        worse = analysis.share(runs, draws)
-        assert worse.low <= found.low + 1e-7 and worse.high <= found.high + 1e-7
-
-
 def test_spread_between_variants_does_not_widen_intervals():
     """Over eight fixed variants the mean is as wide as over equal ones, and q90 is the last's."""
     random = np.random.default_rng(15)
@@ -313,17 +250,6 @@ def test_spread_between_variants_does_not_widen_intervals():
     assert spread[:, -1].min() <= found.low <= found.value <= found.high < spread[:, -1].max()
     # The quantile is the 20 % one of the last variant; 8 of 16 below it have 0.7 % probability.
     assert found.high == np.sort(spread[:, -1])[7]
-
-
-@pytest.mark.parametrize("q", [0.1, 0.5, 0.9])
-@pytest.mark.parametrize("n", [5, 16, 64])
-def test_quantile_of_identical_runs_per_draw_is_that_of_draws(n, q):
-    values = np.random.default_rng(n).normal(size=n).round(1)
-    values[:2] = math.inf
-    runs, draws = flatten_draws(np.repeat(values[:, None], 3, axis=1))
-    np.testing.assert_array_equal(
-        analysis.quantile(runs, q, draws)[:3], analysis.quantile(values, q)[:3]
-    )
 
 
 def test_one_cluster_has_no_interval():

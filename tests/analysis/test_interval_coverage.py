@@ -5,35 +5,31 @@ coverage is the share of samples whose interval contains the true value. An end 
 bounds nothing.
 """
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import special
 
 from sinsjax import analysis
-from sinsjax.analysis import Estimate
 
 LEAST = 93.0  # percent
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95, 1.0)
 SHARES = (0.5, 0.9, 0.97, 0.99, 1.0)
-NAMES = ("mean", "rms", "median", "90 % quantile")
-ESTIMATES: dict[str, Callable[[NDArray, NDArray], Estimate]] = {
+ESTIMATES = {
     "mean": analysis.mean,
     "rms": analysis.rms,
     "median": lambda runs, draw: analysis.quantile(runs, 0.5, draw),
     "90 % quantile": lambda runs, draw: analysis.quantile(runs, 0.9, draw),
 }
+NAMES = [*ESTIMATES]
 
 
-def lognormal(sigma: float) -> tuple[Callable[[NDArray], NDArray], list[float]]:
+def lognormal(sigma):
     """The exponential of a normal value: values of normal scores, true numbers by `NAMES`."""
     square, q90 = np.exp(sigma**2), np.exp(sigma * special.ndtri(0.9))
     return lambda score: np.exp(sigma * score), [square**0.5, square, 1.0, q90]
 
 
-def student(freedom: float) -> tuple[Callable[[NDArray], NDArray], list[float]]:
+def student(freedom):
     """Student's t; normal with infinite degrees of freedom."""
     rms = 1.0 if np.isinf(freedom) else (freedom / (freedom - 2)) ** 0.5
     q90 = float(special.stdtrit(freedom, 0.9))
@@ -49,12 +45,11 @@ LAWS = {
 """Distributions, and the estimates whose coverage is promised."""
 
 
-def covers(found: Estimate, true: float) -> bool:
-    """Whether an interval contains a value; an end that is NaN bounds nothing."""
+def covers(found, true):
     return not (found.low > true or found.high < true)
 
 
-def scores(draws: int, variants: int, correlation: float, repetitions: int) -> Iterator[NDArray]:
+def scores(draws, variants, correlation, repetitions):
     """Samples of normal scores, shape (draws, variants), the same at every call."""
     random = np.random.default_rng([draws, variants, round(100 * correlation)])
     own, shared = (1 - correlation) ** 0.5, correlation**0.5
@@ -66,7 +61,7 @@ def scores(draws: int, variants: int, correlation: float, repetitions: int) -> I
 @pytest.mark.nightly
 @pytest.mark.parametrize("variants", [1, 12, 64])
 @pytest.mark.parametrize("draws", [16, 64])
-def test_share_intervals_reach_promised_coverage(draws: int, variants: int) -> None:
+def test_share_intervals_reach_promised_coverage(draws, variants):
     draw = np.repeat(np.arange(draws), variants)
     for correlation in CORRELATIONS if variants > 1 else CORRELATIONS[:1]:
         hits = np.zeros(len(SHARES))
@@ -79,12 +74,12 @@ def test_share_intervals_reach_promised_coverage(draws: int, variants: int) -> N
 @pytest.mark.nightly
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("variants", [1, 12])
-def test_intervals_of_values_reach_promised_coverage(law: str, variants: int) -> None:
+def test_intervals_of_values_reach_promised_coverage(law, variants):
     """Of 32 draws: quantiles of any distribution, means and rms of some."""
     draw, ((value, numbers), names) = np.repeat(np.arange(32), variants), LAWS[law]
     truth = dict(zip(NAMES, numbers, strict=True))
     for correlation in CORRELATIONS if variants > 1 else CORRELATIONS[:1]:
-        hits: dict[str, list[bool]] = {name: [] for name in names}
+        hits = {name: [] for name in names}
         for place, sample in enumerate(scores(32, variants, correlation, 1500)):
             for name in names if place < 188 else names[: len(names) - 2]:  # quantiles take long
                 found = ESTIMATES[name](value(sample.ravel()), draw)
@@ -95,7 +90,7 @@ def test_intervals_of_values_reach_promised_coverage(law: str, variants: int) ->
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("draws", [16, 64])
-def test_intervals_of_paired_differences_reach_promised_coverage(draws: int) -> None:
+def test_intervals_of_paired_differences_reach_promised_coverage(draws):
     """Differences of shares, and last of medians, between two variants on the same draws."""
     shares, hits = SHARES[:-1], np.zeros(len(SHARES))
     for sample in scores(draws, 2, 0.8, 300):

@@ -1,10 +1,11 @@
 """The plots: tables in, figures out."""
 
+from itertools import product
+
 import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.figure import Figure
 from scipy import stats
 
 import sinsjax
@@ -13,48 +14,33 @@ from sinsjax.analysis.labels import axis_label
 from sinsjax.errors import InputError
 from sinsjax.plots.consistency import SHARE_COLUMNS
 
-SETTLE = {  # s, by number of resets, cycle and start; None never settles
-    (0, 10.0, 0.0): 300.0,
-    (0, 50.0, 0.0): 300.0,
-    (0, 10.0, 30.0): None,
-    (0, 50.0, 30.0): None,
-    (1, 10.0, 0.0): 100.0,
-    (1, 50.0, 0.0): 200.0,
-    (1, 10.0, 30.0): 400.0,
-    (1, 50.0, 30.0): 400.0,
-    (2, 10.0, 0.0): 150.0,
-    (2, 50.0, 0.0): 180.0,
-    (2, 10.0, 30.0): 210.0,
-    (2, 50.0, 30.0): 200.0,
-}
+POINTS = [*product((0, 1, 2), (0.0, 30.0), (10.0, 50.0))]
+"""Numbers of resets, starts and cycles."""
+TIMES_S = [300, 300, None, None, 100, 200, 400, 400, 150, 180, 210, 200]
+"""At which they settle; None never settles."""
 MAP = ("reset_count", "reset_cycle_s")
 
 
-def run_table(settle=SETTLE, draws=3, **more):
-    """A summary: every point of `SETTLE` in some draws, a second apart."""
-    points = [(*point, draw) for draw in range(draws) for point in settle]
-    count, cycle, start, draw = zip(*points, strict=True)
-    times = [settle[point[:3]] for point in points]
-    times = [None if t is None else t + d - 1 for t, d in zip(times, draw, strict=True)]
-    points = zip(count, cycle, start, draw, strict=True)
-    phi = [10.0 * n + (cycle if n else 0) + u + d for n, cycle, u, d in points]  # acts if n > 0
-    columns = {
-        "reset_times_s": [
-            [b * i for i in range(1, n + 1)] for n, b in zip(count, cycle, strict=True)
-        ],
-        "reset_count": count,
-        "reset_cycle_s": cycle,
-        "phi_u0_deg": start,
-        "draw_id": draw,
-        "settle_10_s": pa.array(times, pa.float64()),
-        "phi_u_arcmin": phi,
-        "ok_floor": [t is not None for t in times],
-        "status": ["not_settled" if t is None else "ok" for t in times],
-    }
-    return pa.table(columns | more)
+def run_table():
+    """A summary: every point in three draws, a second apart, two of them in no order."""
+    count, start, cycle = map(np.array, zip(*POINTS * 3, strict=True))
+    draw = np.repeat(range(3), len(POINTS))
+    times = [None if t is None else t + d - 1.0 for t, d in zip(TIMES_S * 3, draw, strict=True)]
+    return pa.table(
+        {
+            "reset_count": count,
+            "reset_cycle_s": cycle,
+            "phi_u0_deg": start,
+            "draw_id": draw,
+            "settle_10_s": pa.array(times, pa.float64()),
+            "phi_u_arcmin": 10.0 * count + np.where(count, cycle, 0.0) + start + draw,
+            "ok_floor": [t is not None for t in times],
+            "status": ["not_settled" if t is None else "ok" for t in times],
+        }
+    ).take([*range(12), *np.random.default_rng(0).permutation(np.arange(12, 36))])
 
 
-def map_panels(figure: Figure):
+def map_panels(figure):
     return [axes for axes in figure.axes if axes.get_images()]
 
 
@@ -63,15 +49,7 @@ def shown(axes):
 
 
 def framed_cells(axes):
-    """The corners of the frames of a panel."""
     return {frame.get_xy() for frame in axes.patches}
-
-
-def title_of(figure: Figure) -> str:
-    return figure.get_suptitle().replace("\n", " ")
-
-
-# --- plot_map -----------------------------------------------------------------------------------
 
 
 def test_map_frames_the_best_cell_in_every_panel_that_it_is_in():
@@ -115,21 +93,13 @@ def test_map_of_unusable_runs_is_refused(table, value, line):
         sinsjax.plot_map(table, *MAP, value)
 
 
-# --- plot_compare -------------------------------------------------------------------------------
-
-
 def test_infinite_values_are_marked_as_never_clear_of_the_other_line():
-    table = run_table()
-    figure = sinsjax.plot_compare(
-        table, "phi_u0_deg", by="reset_count", statistics={"settle_10_s_median": "time (s)"}
-    )
+    table, statistics = run_table(), {"settle_10_s_median": "time (s)"}
+    figure = sinsjax.plot_compare(table, "phi_u0_deg", by="reset_count", statistics=statistics)
     crosses = [line for line in figure.axes[0].get_lines() if line.get_marker() == "x"]
     places = [list(line.get_xdata()) for line in crosses if len(line.get_xdata())]
     assert places == [[pytest.approx(30.0, abs=0.5)]] and places[0][0] != 30.0
     assert "never (median)" in {text.get_text() for text in figure.legends[0].get_texts()}
-
-
-# --- plot_belief --------------------------------------------------------------------------------
 
 
 def test_belief_shows_nees_against_chi_square_and_shares_of_records():
@@ -158,9 +128,6 @@ def test_belief_leaves_out_lines_without_covariance_and_refuses_none():
         sinsjax.plot_belief(table.slice(2), by="method")
 
 
-# --- plot_curves --------------------------------------------------------------------------------
-
-
 def curve_table(ids, *, truth=True, without_heading=()):
     """Curves of some runs; sigmas and errors are 100 times the number of the run plus time."""
     time = np.tile([1.0, 2.0, 3.0], len(ids))
@@ -176,15 +143,9 @@ def curve_table(ids, *, truth=True, without_heading=()):
 
 
 def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
-    summary = pa.table(
-        {
-            "run_id": [0, 1, 2, 3],
-            "case": ["x", "y", "x", "y"],
-            "reset_times_s": [[1.0], [], [1.0], []],
-            "floor_arcmin": [-20.0, None, 40.0, None],
-        }
-    )
-    figure = sinsjax.plot_curves(curve_table([0, 1, 2, 3]), summary, by="case")
+    columns = {"case": [*"xyxy"], "reset_times_s": [[1.0], [], [1.0], []]}
+    columns |= {"run_id": [0, 1, 2, 3], "floor_arcmin": [-20.0, None, 40.0, None]}
+    figure = sinsjax.plot_curves(curve_table([0, 1, 2, 3]), pa.table(columns), by="case")
     first, second = figure.axes
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["x", "y"]
     error, sigma, reset, floor = first.get_lines()
@@ -196,6 +157,8 @@ def test_curves_are_grouped_by_keys_with_resets_and_floor_of_their_runs():
     assert reset.get_xdata()[0] == 1.0
     assert floor.get_ydata()[0] == pytest.approx(np.sqrt((20.0**2 + 40.0**2) / 2))
     assert len(second.get_lines()) == 2  # neither resets nor a floor
+    with pytest.raises(InputError, match="no curves of these runs"):
+        sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
 
 
 def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
@@ -208,29 +171,8 @@ def test_curves_without_truth_show_attitude_and_sigma_in_degrees():
 @pytest.mark.parametrize(("truth", "panels"), [(True, 4), (False, 2)])
 def test_figure_without_any_heading_shows_level_errors_or_pitch_and_roll(truth, panels):
     figure = sinsjax.plot_curves(curve_table([0, 1], truth=truth, without_heading=[0, 1]))
-    assert len(figure.axes) == panels and title_of(figure) == (
-        "Level error" if truth else "Attitude"
-    )
-
-
-def test_curves_of_other_runs_are_refused():
-    with pytest.raises(InputError, match="no curves of these runs"):
-        sinsjax.plot_curves(curve_table([0]), pa.table({"run_id": [5]}))
-
-
-def test_line_is_mean_and_band_of_95_percent_where_all_runs_have_values():
-    axes, time = Figure().subplots(), np.arange(1.0, 11.0)
-    values = np.random.default_rng(1).normal(size=(200, 10))
-    values[1, 4] = np.nan
-    plots.draw_mean_and_band(axes, "x", time, values, "#000000")
-    known = np.delete(values, 4, axis=1)
-    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), known.mean(axis=0))
-    edges = axes.collections[0].get_paths()[0].vertices[:, 1]
-    for edge in np.quantile(known, [0.025, 0.975], axis=0).ravel():
-        assert np.isclose(edges, edge).any()
-
-
-# --- style --------------------------------------------------------------------------------------
+    assert len(figure.axes) == panels
+    assert figure.get_suptitle() == ("Level error" if truth else "Attitude")
 
 
 def test_png_does_not_depend_on_rc_params(monkeypatch):

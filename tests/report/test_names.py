@@ -5,10 +5,7 @@ import io
 import re
 import sys
 import unicodedata
-from html import escape
-from html.parser import HTMLParser
-from pathlib import Path
-from typing import Any
+from html import escape, unescape
 
 import pytest
 from matplotlib.figure import Figure
@@ -22,31 +19,14 @@ from sinsjax import messages as screen
 from sinsjax import report
 from sinsjax.errors import InputError
 from sinsjax.messages import CONTROL
-from sinsjax.report.document import (
-    Fact,
-    Picture,
-    Report,
-    Table,
-    print_report,
-    to_html,
-)
+from sinsjax.report.document import Fact, Picture, Report, Table, print_report, to_html
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
 NASTY = (
-    "[/b]",
-    "reset [fast]",
-    "$x^$",
-    "<script>alert(1)</script>",
-    "a|b",
-    "`tick",
-    "*star* _under_ a_b",
-    "[link](http://x) ![image](y) <http://z>",
-    ":smile: &amp; ~~gone~~",
-    "\\back\\",
-    "# heading",
-    "- item",
-    "1. number",
+    *("[/b]", "reset [fast]", "$x^$", "<script>alert(1)</script>", "a|b", "`tick", "# heading"),
+    *("*star* _under_ a_b", "[link](http://x) ![image](y) <http://z>", "- item", "1. number"),
+    *(":smile: &amp; ~~gone~~", "\\back\\"),
 )
 ODD = "\x1b[2J\u202e"
 """Text that a file may contain, which terminal and pages must show harmlessly."""
@@ -54,14 +34,14 @@ PNG = b"\x89PNG\r\n\x1a\n-the picture"
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> Path:
+def results(tmp_path):
     """Results of a study whose names are nasty."""
     cases = [{"case": label, "phi_u0_deg": float(i)} for i, label in enumerate(NASTY)]
     study = small_study(study={"name": "[/b] <script>x</script> ../../a", "draws": 2}, cases=cases)
     return store_results(tmp_path / "results", study, synthetic_summary(study))
 
 
-def whole_report(text: str) -> Report:
+def whole_report(text):
     """A report that has a text in all of its parts."""
     picture = Picture("fig", text, Figure())
     picture.figure.suptitle(text)
@@ -69,7 +49,7 @@ def whole_report(text: str) -> Report:
     return Report(text, [Fact(text, text)], None, [table], [picture], [text] * 3)
 
 
-def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: Path) -> None:
+def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results):
     doctored = f"a{ODD}<script>x</script>\nWarning: c"
     changed = {"config": doctored, "warnings": [doctored], "versions": {"sinsjax": doctored}}
     rewrite_manifest(results, **changed)
@@ -83,9 +63,7 @@ def test_names_of_a_study_and_its_manifest_are_literal_in_every_medium(results: 
         assert f"<td>{escape(name, quote=False)}</td>" in written and name in printed
 
 
-def test_control_characters_in_any_part_of_report_are_escaped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_control_characters_in_any_part_of_report_are_escaped(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     printed, whole = Console(file=io.StringIO()), whole_report(f"part{ODD}")
     print_report(whole, printed, full=True)
@@ -94,33 +72,20 @@ def test_control_characters_in_any_part_of_report_are_escaped(
         assert text.count(r"part\x1b") >= 9
 
 
-def test_html_page_contains_whole_report_literally_and_nothing_else() -> None:
+def test_html_page_contains_whole_report_literally_and_nothing_else():
     nasty = " ".join(NASTY)
     text = to_html("<i>& so", [(whole_report(nasty), {"fig": PNG})])
-    assert "<script" not in text and "<link" not in text and not re.search(r"url\(|@import", text)
-    seen: list[str] = []
-    attributes: list[tuple[str, str | None]] = []
-    words: list[str] = []
-
-    class Reader(HTMLParser):
-        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-            seen.append(tag)
-            attributes.extend(attrs)
-
-        def handle_data(self, data: str) -> None:
-            words.append(data)
-
-    Reader(convert_charrefs=True).feed(text)
+    assert not re.search(r"url\(|@import", text)
+    seen = re.findall(r"<(\w+)", text)
     assert {seen.count(tag) for tag in ("table", "td", "th", "h1", "h3", "img")} == {1}
-    assert not {"b", "a", "i"} & {*seen}
-    shown = "".join(words)
-    assert shown.count(nasty) == 11 and "<i>& so" in shown
-    (source,) = (value for name, value in attributes if name in ("src", "href") and value)
-    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == PNG
-    assert ("alt", nasty) in attributes
+    assert not {"b", "a", "i", "script", "link"} & {*seen}
+    assert unescape(text).count(nasty) == 12 and "<i>& so" in unescape(text)
+    (source,) = re.findall(r"(?:src|href)=\"data:image/png;base64,([^\"]*)\"", text)
+    assert base64.b64decode(source) == PNG
+    assert f'alt="{escape(nasty)}"' in text
 
 
-def test_html_page_of_results_has_all_tables_and_figures_without_full(results: Path) -> None:
+def test_html_page_of_results_has_all_tables_and_figures_without_full(results):
     page = results.parent / "page.html"
     printed = report_text(results, html=page, full=False)
     for title in ("Heading error from true north", "Every variant", "Against "):
@@ -129,10 +94,8 @@ def test_html_page_of_results_has_all_tables_and_figures_without_full(results: P
     assert page.read_text().count("data:image/png;base64,") == figures > 0
 
 
-def test_failed_report_is_one_line_and_keeps_the_results(
-    results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: Any, **__: Any) -> None:
+def test_failed_report_is_one_line_and_keeps_the_results(results, monkeypatch):
+    def broken(*_, **__):
         raise ValueError("\nx^\n  ^\nParseSyntaxException")
 
     before = {path: path.read_bytes() for path in results.rglob("*.*")}
@@ -143,13 +106,13 @@ def test_failed_report_is_one_line_and_keeps_the_results(
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_errors_and_warnings_are_one_visible_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_and_warnings_are_one_visible_line(capsys):
     assert str(InputError("a\nb\x1b[2J\u202e")) == r"a b\x1b[2J\u202e"
     screen.print_warning("a\nb\x1b[2J\u202e")
     assert capsys.readouterr().err == "Warning: a\\nb\\x1b[2J\\u202e\n"
 
 
-def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates() -> None:
+def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates():
     """Compared with the Unicode database."""
     explicit = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
     for letter in map(chr, range(sys.maxunicode + 1)):
@@ -162,12 +125,10 @@ def test_control_characters_are_codes_breaks_direction_marks_and_half_surrogates
 
 
 @pytest.mark.parametrize("letter", ["\x1b", "\n", "\u202e"])
-@pytest.mark.parametrize("place", ["[study] name", "[cases] case[1]"])
-def test_control_characters_in_names_are_refused(letter: str, place: str) -> None:
-    changes = {"[study] name": {"study": {"name": f"a{letter}b"}}}
-    changes["[cases] case[1]"] = {"cases": [{"case": "a"}, {"case": f"b{letter}"}]}
+def test_control_characters_in_names_are_refused(letter):
+    cases = [{"case": "a"}, {"case": f"b{letter}"}]
     with pytest.raises(InputError) as error:
-        small_study(**changes[place])
-    line = str(error.value)
-    assert line.startswith(f"study: {place}: must not contain control characters")
-    assert letter not in line and line.isprintable()
+        small_study(study={"name": f"a{letter}b"}, cases=cases)
+    for line, place in zip(error.value.lines, ("[cases] case[1]", "[study] name"), strict=True):
+        assert line.startswith(f"study: {place}: must not contain control characters")
+        assert line.isprintable()
