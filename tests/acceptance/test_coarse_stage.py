@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from support.refusals import refusal_line
-from support.studies import add_true_reference, small_study, with_paper_values
+from support.studies import add_true_reference, recorded_study, small_study
 
 from sinsjax.arena.export import simulated_record
 from sinsjax.execution import run
-from sinsjax.study.load import study_from_dict
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -43,7 +42,6 @@ def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed():
     # The initial heading error counts without a coarse stage only.
     same = (phi[:, ::2] == phi[:, 1::2]).all(axis=(0, 2))
     assert same.tolist() == [False, True, True, True]
-    assert study().duplicate_of.tolist() == [0, 1, 2, 2, 4, 4, 6, 6]
     # There is no sigma before; a filter of all data since the start has a smaller one.
     assert not np.isnan(sigma[:, 0]).any() and np.isnan(sigma[:, [2, 6], :3]).all()
     assert np.all(sigma[:, 6, 3:] < sigma[:, 2, 3:])
@@ -90,15 +88,12 @@ def test_report_times_repeat_the_curves_and_leave_other_results_bit_identical(na
 @pytest.mark.nightly
 def test_report_times_count_same_data_for_hand_over_and_replay():
     """The one has heard 2 s of a record before t = 0."""
-    tables = {
-        "study": {"duration_s": 4.0, "rate_hz": 100.0, "window_s": [2, 4], "curves": True}
-        | {"report_times_s": [3.0, 4.0]},
-        "record": {"format": "psins"},
-        "coarse": {"coarse_duration_s": 2.0},
-        "axes": {"coarse_then": ["hand_over", "replay"]},
-    }
-    stored = add_true_reference(simulated_record(small_study()))
-    both = run.run(study_from_dict(with_paper_values(tables)), stored)
+    given = recorded_study(
+        study={"duration_s": 4.0, "window_s": [2, 4], "curves": True, "report_times_s": [3.0, 4.0]},
+        coarse={"coarse_duration_s": 2.0},
+        axes={"coarse_then": ["hand_over", "replay"]},
+    )
+    both = run.run(given, add_true_reference(simulated_record(small_study())))
     phi = both.curves["phi_u_arcmin"].to_numpy().reshape(2, 4)
     for time in (3, 4):
         at_time = both.summary[f"phi_u_at_{time}_arcmin"].to_numpy()

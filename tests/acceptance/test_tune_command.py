@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import tomli_w
 from support.stored_results import report_text
-from support.studies import BASE, PAPER, write_swing_record
+from support.studies import BASE, recorded_study, write_swing_record
 from support.sweep_directories import read_files_and_times
 
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution.directory import lock_directory
 from sinsjax.execution.results import Results, read_summary
-from sinsjax.study.load import load_study, with_point
+from sinsjax.study.load import load_study, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import gradient, history, run_tuning, search
 from sinsjax.tuning.history import Evaluation, SearchResult
@@ -214,15 +214,10 @@ def test_tuning_beside_another_writer_is_refused(out):
 def test_tune_on_stored_record_splits_start_times(tmp_path, sinsjax):
     """Every other start time tunes, the rest evaluate."""
     write_swing_record(tmp_path)
-    variables = {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}
-    data = {
-        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
-        "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
-        "coarse": {"coarse_duration_s": 3.0},
-        "filter": PAPER,
-        "tune": {"searches": ["grid"], "variables": variables, "objective": "final_error"},
-    }
-    (tmp_path / "car.toml").write_text(tomli_w.dumps(data))
+    tune = {"searches": ["grid"], "objective": "final_error"}
+    tune |= {"variables": {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}}
+    study = recorded_study(record={"start_s": [0.0, 0.5, 1.0]}, tune=tune)
+    (tmp_path / "car.toml").write_text(study_to_toml(study))
     words = ["tune", "car.toml", "-o", "out", "--record", "swing.imu"]
     code, _, error = sinsjax(*words)
     assert code == 2 and "reference" in error

@@ -99,7 +99,6 @@ class MadeUpRuns(Slope):
     """Runs whose values are linear in the variables, with these slopes."""
 
     def __init__(self, study, slopes):
-        assert study.tune is not None
         self._tune, self._slopes, self._programs = study.tune, slopes, [self]
 
     def run(self, box, *_):
@@ -125,7 +124,6 @@ def test_relaxed_score_is_near_hard_score():
     def ratio(**tune):
         """Return the relaxed score over the hard one, at two points."""
         section = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, **tune).tune
-        assert section is not None
         hard = [objective.score(section, values) for values in runs]
         return np.divide(objective.relaxed_score(section, runs)[0], hard)
 

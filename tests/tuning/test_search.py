@@ -92,7 +92,6 @@ def test_objective_is_computed_from_summary_rows(tune, values, score):
     """Two variants and three draws of a study of 6 s; rows in no order."""
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": "floor"}}
     study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
-    assert study.tune is not None
     table = ROWS.select(objective.summary_columns(study.tune, study))
     found = objective.run_values(study.tune, study, table)
     assert values is None or found.tolist() == values
