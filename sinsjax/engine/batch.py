@@ -114,33 +114,20 @@ class Lanes(NamedTuple):
 
 
 class ActiveLanes(NamedTuple):
-    """The lanes of a chunk that are not idle, by draw and variant; leaves (runs,).
+    """The lanes of a chunk that are not idle, by draw and variant; leaves (runs,)."""
 
-    Attributes:
-        lane: place among all lanes of all tiles.
-        draw: place of the draw in the batch.
-        variant: place of the variant.
-    """
-
-    lane: np.ndarray
-    draw: np.ndarray
-    variant: np.ndarray
+    lane: np.ndarray  # place among all lanes of all tiles
+    draw: np.ndarray  # place of the draw in the batch
+    variant: np.ndarray  # place of the variant in the batch
 
 
 class Chunk(NamedTuple):
-    """Results of some runs of a batch, by draw and variant.
+    """Results of some runs of a batch, by draw and variant."""
 
-    Attributes:
-        draw: (runs,) number of each run's draw in the study.
-        variant: (runs,) place of each run's variant in the batch.
-        outcome: `Outcome` with leaves (runs, ...).
-        curves: `Observation` with leaves (runs, intervals); None without curves.
-    """
-
-    draw: np.ndarray
-    variant: np.ndarray
-    outcome: Outcome
-    curves: Any
+    draw: np.ndarray  # (runs,) number of each run's draw in the study
+    variant: np.ndarray  # (runs,) place of each run's variant in the batch
+    outcome: Outcome  # leaves (runs, ...)
+    curves: Any  # `Observation` with leaves (runs, intervals); None without curves
 
 
 class Layout:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from sinsjax.types import Array, Count, Flag, Scalar, Vec3
+from sinsjax.types import Flag, Scalar, Vec3
 
 
 class Minus(NamedTuple):
@@ -93,24 +93,6 @@ def solve3(p: Triangle, b: Vec3) -> Vec3:
     inverse_determinant = 1 / (a * ca + h * ch + g * cg)
     rows = (Vec3(ca, ch, cg), Vec3(ch, cd, cf), Vec3(cg, cf, cc))
     return scale(inverse_determinant, Vec3(*(dot(row, b) for row in rows)))
-
-
-def invert_positive_definite(matrix: Array) -> Array:
-    """Return the inverse of a symmetric positive definite matrix (n, n) of unit diagonal.
-
-    By Gauss and Jordan, which needs no pivots here. For `jnp.linalg.inv` XLA calls LAPACK, from
-    the threads of several devices at once, and has been seen to wait for ever.
-    """
-    places = jnp.arange(len(matrix))
-
-    def eliminate(k: Count, a: Array) -> Array:
-        is_pivot = places == k
-        row = jnp.where(is_pivot, 1.0, a[k]) / a[k, k]
-        column = jnp.where(is_pivot, 0.0, a[:, k])
-        rest = jnp.where(is_pivot[None, :], 0.0, a) - column[:, None] * row[None, :]
-        return jnp.where(is_pivot[:, None], row[None, :], rest)
-
-    return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
 
 
 def select_tree(flag: Flag, if_set: Any, otherwise: Any) -> Any:

@@ -1,7 +1,7 @@
 """Zero-velocity alignment with a model that is nonlinear in the azimuth and linear in the rest.
 
 The navigator is off by an azimuth a of any size and a small tilt, C_{n'}^n = Rz(a) e (see
-`rotations.rotation_from_tilt`); with the tilt t_E, t_N in n' its errors on a base at rest are
+`azimuth_and_tilt`); with the tilt t_E, t_N in n' its errors on a base at rest are
 
     dV_E' =  2 w_U dV_N - g t_N      t_E' = -dV_N/R + w_U t_N - w_N sin a
     dV_N' = -2 w_U dV_E + g t_E      t_N' =  dV_E/R - w_U t_E + w_N (1 - cos a)
@@ -25,6 +25,7 @@ import jax.numpy as jnp
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, Triangle, congruence, triangle_index
 from sinsjax.maths.rotations import sin_cos
+from sinsjax.methods.azimuth_and_tilt import rotate_covariance, rotation_from_tilt
 from sinsjax.methods.filters.kalman import Belief
 from sinsjax.methods.filters.keys import FIVE_STATES
 from sinsjax.methods.filters.loop import (
@@ -36,7 +37,7 @@ from sinsjax.methods.filters.loop import (
     filter_method,
     misalignment_covariance,
 )
-from sinsjax.methods.method import AttitudeCovariance, Options, rotate_covariance
+from sinsjax.methods.method import AttitudeCovariance, Options
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Quat, Scalar, Vec3
 
@@ -165,7 +166,7 @@ def build_filter(predict: Callable[[Belief, Place, Scalar], Belief], options: Op
 
 def _rotate(phi: Vec3, q: Quat) -> Quat:
     """Return the attitude corrected by tilt and azimuth, rad."""
-    return rotations.multiply(rotations.rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z)), q)
+    return rotations.multiply(rotation_from_tilt(phi.x, phi.y, *sin_cos(phi.z)), q)
 
 
 def _attitude(state: FilterState) -> Quat:

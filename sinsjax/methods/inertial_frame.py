@@ -43,6 +43,7 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Triangle, add, cross, dot, scale, select_tree, triangle_index
+from sinsjax.methods.azimuth_and_tilt import rotation_about_vertical
 from sinsjax.methods.method import Method, Options, Program, Site, normalise_solution
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Navigation, Quat, Sample, Scalar, Vec3
@@ -288,7 +289,7 @@ def dominant_eigenvector(k: Triangle, bound: Scalar) -> Quat:
     # The larger eigenvalue's eigenvector of [[a, b], [b, c]], by half the angle of (a - c, 2b).
     half = 0.5 * (a - c)
     radius = jnp.sqrt(jnp.maximum(half * half + b * b, jnp.finfo(bound.dtype).tiny))
-    first, _, _, second = rotations.rotation_about_vertical(b / radius, half / radius)
+    first, _, _, second = rotation_about_vertical(b / radius, half / radius)
     return Quat(*_unit([first * x + second * y for x, y in zip(one, other, strict=True)]))
 
 

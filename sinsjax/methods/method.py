@@ -98,21 +98,6 @@ def unknown_covariance(like: Scalar) -> AttitudeCovariance:
     return AttitudeCovariance(*(unknown for _ in AttitudeCovariance._fields))
 
 
-def rotate_covariance(
-    covariance: AttitudeCovariance, sine: Scalar, cosine: Scalar
-) -> AttitudeCovariance:
-    """Return the covariance of the misalignment in n from that of tilt (in n') and azimuth."""
-    (ee, en, eu, nn, nu, uu), c, s = covariance, cosine, sine
-    return AttitudeCovariance(
-        ee=c * c * ee - 2 * c * s * en + s * s * nn,
-        en=c * s * (ee - nn) + (c * c - s * s) * en,
-        eu=c * eu - s * nu,
-        nn=s * s * ee + 2 * c * s * en + c * c * nn,
-        nu=s * eu + c * nu,
-        uu=uu,
-    )
-
-
 class Feedback(NamedTuple):
     """Closing the loop of a method: feedback of the estimate and resets of P.
 

@@ -33,6 +33,11 @@ import jax.numpy as jnp
 
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import Entries, Minus, triangle_index
+from sinsjax.methods.azimuth_and_tilt import (
+    rotate_covariance,
+    rotation_from_tilt,
+    shortest_rotation,
+)
 from sinsjax.methods.filters import kalman
 from sinsjax.methods.filters.kalman import Innovation
 from sinsjax.methods.filters.keys import (
@@ -59,7 +64,6 @@ from sinsjax.methods.method import (
     AttitudeCovariance,
     Options,
     StudyKeys,
-    rotate_covariance,
 )
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
@@ -128,7 +132,7 @@ def _feed_back(state: FilterState, share: Scalar) -> FilterState:
     x = state.belief.x
     fed_back = tuple(share * estimate for estimate in x[:SINE])
     nav = mechanisation.correct_velocity(state.nav, fed_back[VE], fed_back[VN])
-    turn = rotations.shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
+    turn = shortest_rotation(fed_back[TILT_E], fed_back[TILT_N])
     left = (*(a - b for a, b in zip(x[:SINE], fed_back, strict=True)), *x[SINE:])
     return state._replace(
         nav=nav._replace(q=rotations.multiply(turn, nav.q)), belief=state.belief._replace(x=left)
@@ -158,7 +162,7 @@ def _misalignment(state: FilterState) -> Vec3:
 
 def _attitude(state: FilterState) -> Quat:
     x, d = state.belief.x, _azimuth_direction(state)
-    correction = rotations.rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
+    correction = rotation_from_tilt(x[TILT_E], x[TILT_N], d.sine, d.cosine)
     return rotations.multiply(correction, state.nav.q)
 
 

@@ -41,7 +41,8 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, cross, dot, invert_positive_definite, scale
+from sinsjax.maths.algebra import add, cross, dot, scale
+from sinsjax.methods.azimuth_and_tilt import rotate_covariance, rotation_about_vertical
 from sinsjax.methods.gravity_fit.noise import (
     Covariance,
     NoiseModel,
@@ -51,7 +52,7 @@ from sinsjax.methods.gravity_fit.noise import (
     noise_model,
     predict_noise,
 )
-from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance, rotate_covariance
+from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Array, Count, Flag, Quat, Scalar, Vec3
 
@@ -264,7 +265,7 @@ class _GaussNewtonPass(NamedTuple):
         cos, sin = later.heading[0], -later.heading[1]
         levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
         return later, Solution(
-            attitude=rotations.multiply(rotations.rotation_about_vertical(sin, cos), levelled),
+            attitude=rotations.multiply(rotation_about_vertical(sin, cos), levelled),
             carried=rotations.multiply(rotations.conjugate(self.guess.level), end.body),
             gyro=later.gyro,
             gyro_bias_variance=Vec3(*jnp.diagonal(covariance)[GYRO : GYRO + 3]),
@@ -383,6 +384,24 @@ def _solve_normal_equations(
     unknown = covariance @ pull
     length = jnp.sqrt(jnp.maximum(unknown @ pull, 0.0))
     return unknown, covariance, whole[n, n] - unknown @ right, length
+
+
+def invert_positive_definite(matrix: Array) -> Array:
+    """Return the inverse of a symmetric positive definite matrix (n, n) of unit diagonal.
+
+    By Gauss and Jordan, which needs no pivots here. For `jnp.linalg.inv` XLA calls LAPACK, from
+    the threads of several devices at once, and has been seen to wait for ever.
+    """
+    places = jnp.arange(len(matrix))
+
+    def eliminate(k: Count, a: Array) -> Array:
+        is_pivot = places == k
+        row = jnp.where(is_pivot, 1.0, a[k]) / a[k, k]
+        column = jnp.where(is_pivot, 0.0, a[:, k])
+        rest = jnp.where(is_pivot[None, :], 0.0, a) - column[:, None] * row[None, :]
+        return jnp.where(is_pivot[:, None], row[None, :], rest)
+
+    return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
 
 
 def _final_attitude_error(end: _PassSums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
