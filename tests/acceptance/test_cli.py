@@ -20,9 +20,6 @@ from sinsjax.study.schema import EARTH_CONSTANTS
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
-TWO = {"axes": {"phi_u0_deg": [0.0, 30.0]}, "resets": {"reset_times_s": [2.5]}}
-"""Two variants, 6 runs: tests share the compiled program."""
-
 
 def write_study(name="study.toml", **changes):
     """Write a small study file with sections changed."""
@@ -31,8 +28,8 @@ def write_study(name="study.toml", **changes):
 
 
 def test_run_writes_results_and_figures_and_prints_table(sinsjax):
-    out = Path("out")
-    code, told, _ = sinsjax("run", write_study(**TWO), "-o", out)
+    out, axes = Path("out"), {"phi_u0_deg": [0.0, 30.0]}
+    code, told, _ = sinsjax("run", write_study(axes=axes), "-o", out)
     assert code == 0 and "Settling" in told and "phi_u0_deg" not in told
     summary, curves = read_summary(out), read_curves(out)
     assert summary["run_id"].to_pylist() == list(range(6))

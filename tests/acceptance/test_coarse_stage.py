@@ -16,26 +16,18 @@ ARMS = {
 }
 
 
-def study(**changes):
-    tables = {
-        "study": {"draws": 3, "curves": True},
-        "coarse": {"coarse_duration_s": 3.0},
-        "axes": {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]},
-    }
-    return small_study(**(tables | changes))
-
-
 @pytest.mark.nightly
 def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed():
-    curves = run.run(study()).curves
+    axes, coarse = {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]}, {"coarse_duration_s": 3.0}
+    curves = run.run(small_study(study={"curves": True}, coarse=coarse, axes=axes)).curves
     assert curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
     phi, sigma = (
         curves[name].to_numpy(zero_copy_only=False).reshape(3, 8, 6)
         for name in ("phi_u_arcmin", "sigma_u_arcmin")
     )
     for method, variants in {"inertial": (2, 3, 6, 7), "optimisation": (4, 5)}.items():
-        changes = {"alignment": {"method": method}, "axes": {}, "coarse": {"coarse_method": "none"}}
-        alone = run.run(study(**changes)).curves["phi_u_arcmin"].to_numpy().reshape(3, 6)
+        alone = run.run(small_study(study={"curves": True}, alignment={"method": method})).curves
+        alone = alone["phi_u_arcmin"].to_numpy().reshape(3, 6)
         for variant in variants:  # bit-equal to the method alone, which goes on
             np.testing.assert_array_equal(phi[:, variant, :3], alone[:, :3])
             assert not np.any(phi[:, variant, 3:] == alone[:, 3:])
@@ -53,8 +45,6 @@ def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed()
     assert line.startswith("[resets] reset_times_s: the reset at 2 s is not after the end of")
     small_study(coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"}, resets=resets)
 
-
-# Report times
 
 REPORTED = {
     "filters": {"axes": {"method": ["kalman5", "kalman_sincos"]}},

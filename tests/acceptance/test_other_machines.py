@@ -25,10 +25,9 @@ def test_rows_agree_between_instruction_sets(tmp_path):
         axes={"method": ["kalman5", "compass"], "phi_u0_deg": [0.0, 30.0]},
     )
     (tmp_path / "study.toml").write_text(study_to_toml(study))
-    code = "import sys, sinsjax; sinsjax.configure(devices=1)\n"
-    code += "sinsjax.run_into(sinsjax.load_study(sys.argv[1]), sys.argv[2])"
-    words = [sys.executable, "-c", code, tmp_path / "study.toml", tmp_path / "out"]
-    subprocess.run(words, env=os.environ | {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}, check=True)
+    words = [sys.executable, *"-m sinsjax sweep study.toml -o out --devices 1".split()]
+    flags = {"XLA_FLAGS": "--xla_cpu_max_isa=SSE4_2"}
+    subprocess.run(words, cwd=tmp_path, env=os.environ | flags, check=True)
     here, there = run.run(study).summary, read_summary(tmp_path / "out")
     assert here.num_rows == 16 and here.column_names == there.column_names
     for name, one, other in zip(here.column_names, here.columns, there.columns, strict=True):

@@ -38,12 +38,6 @@ STUDY = {
 COST = 3 * 2 * 400  # steps a point
 
 
-def write(path, **changes):
-    """Write the file of `STUDY` with sections replaced."""
-    path.write_text(tomli_w.dumps(STUDY | changes), encoding="utf-8")
-    return path
-
-
 def descend(study, stored, *, on_progress):
     """Return descents without running anything: two starts, the second of which ends best."""
     relaxed = [
@@ -68,7 +62,8 @@ def faked():
 def made(faked, tmp_path_factory):
     """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
-    run_tuning.tune(write(folder / "swing.toml"), folder / "out")
+    (folder / "swing.toml").write_text(tomli_w.dumps(STUDY))
+    run_tuning.tune(folder / "swing.toml", folder / "out")
     return folder / "out"
 
 
@@ -170,7 +165,8 @@ def test_resumed_tuning_descends_if_only_the_grid_is_complete(out):
 def test_mistake_is_one_line_and_changes_nothing(made, sinsjax, tmp_path):
     config = made.parent / "swing.toml"
     before = read_files_and_times(made)
-    other = write(tmp_path / "other.toml", tune=TUNE | {"grid_points": 4})
+    other = tmp_path / "other.toml"
+    other.write_text(tomli_w.dumps(STUDY | {"tune": TUNE | {"grid_points": 4}}))
     for words, text in (
         (("tune", config, "-o", made), "already holds a tuning run"),
         (("sweep", config, "--overwrite", "-o", made), "is not a result"),

@@ -135,8 +135,6 @@ def test_points_with_equal_keys_are_one_case_and_cost_nothing():
     assert scored.costs == [2 * 600 * count for count in (1, 2, 2, 3)]
 
 
-# The reset schedule by the law, a point of every search
-
 LONG_TIMES = [{"low": 1.0, "high": 100.0}, {"low": 1.0, "high": 200.0}]
 
 
