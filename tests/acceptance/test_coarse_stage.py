@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from support.refusals import refusal_line
-from support.studies import add_true_reference, small_study, with_paper_values
+from support.studies import add_true_reference, recorded_study, small_study
 
 from sinsjax.arena.export import simulated_record
 from sinsjax.execution import run
-from sinsjax.study.load import study_from_dict
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -17,33 +16,24 @@ ARMS = {
 }
 
 
-def study(**changes):
-    tables = {
-        "study": {"draws": 3, "curves": True},
-        "coarse": {"coarse_duration_s": 3.0},
-        "axes": {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]},
-    }
-    return small_study(**(tables | changes))
-
-
 @pytest.mark.nightly
 def test_coarse_method_gives_the_attitude_until_it_hands_over_or_is_replayed():
-    curves = run.run(study()).curves
+    axes, coarse = {"arm": ARMS, "phi_u0_deg": [0.0, 30.0]}, {"coarse_duration_s": 3.0}
+    curves = run.run(small_study(study={"curves": True}, coarse=coarse, axes=axes)).curves
     assert curves["time_s"].to_pylist()[:6] == [1, 2, 3, 4, 5, 6]
     phi, sigma = (
         curves[name].to_numpy(zero_copy_only=False).reshape(3, 8, 6)
         for name in ("phi_u_arcmin", "sigma_u_arcmin")
     )
     for method, variants in {"inertial": (2, 3, 6, 7), "optimisation": (4, 5)}.items():
-        changes = {"alignment": {"method": method}, "axes": {}, "coarse": {"coarse_method": "none"}}
-        alone = run.run(study(**changes)).curves["phi_u_arcmin"].to_numpy().reshape(3, 6)
+        alone = run.run(small_study(study={"curves": True}, alignment={"method": method})).curves
+        alone = alone["phi_u_arcmin"].to_numpy().reshape(3, 6)
         for variant in variants:  # bit-equal to the method alone, which goes on
             np.testing.assert_array_equal(phi[:, variant, :3], alone[:, :3])
             assert not np.any(phi[:, variant, 3:] == alone[:, 3:])
     # The initial heading error counts without a coarse stage only.
     same = (phi[:, ::2] == phi[:, 1::2]).all(axis=(0, 2))
     assert same.tolist() == [False, True, True, True]
-    assert study().duplicate_of.tolist() == [0, 1, 2, 2, 4, 4, 6, 6]
     # There is no sigma before; a filter of all data since the start has a smaller one.
     assert not np.isnan(sigma[:, 0]).any() and np.isnan(sigma[:, [2, 6], :3]).all()
     assert np.all(sigma[:, 6, 3:] < sigma[:, 2, 3:])
@@ -55,8 +45,6 @@ def test_only_resets_after_coarse_alignment_are_accepted_unless_it_is_replayed()
     assert line.startswith("[resets] reset_times_s: the reset at 2 s is not after the end of")
     small_study(coarse={"coarse_duration_s": 2.0, "coarse_then": "replay"}, resets=resets)
 
-
-# Report times
 
 REPORTED = {
     "filters": {"axes": {"method": ["kalman5", "kalman_sincos"]}},
@@ -90,15 +78,12 @@ def test_report_times_repeat_the_curves_and_leave_other_results_bit_identical(na
 @pytest.mark.nightly
 def test_report_times_count_same_data_for_hand_over_and_replay():
     """The one has heard 2 s of a record before t = 0."""
-    tables = {
-        "study": {"duration_s": 4.0, "rate_hz": 100.0, "window_s": [2, 4], "curves": True}
-        | {"report_times_s": [3.0, 4.0]},
-        "record": {"format": "psins"},
-        "coarse": {"coarse_duration_s": 2.0},
-        "axes": {"coarse_then": ["hand_over", "replay"]},
-    }
-    stored = add_true_reference(simulated_record(small_study()))
-    both = run.run(study_from_dict(with_paper_values(tables)), stored)
+    given = recorded_study(
+        study={"duration_s": 4.0, "window_s": [2, 4], "curves": True, "report_times_s": [3.0, 4.0]},
+        coarse={"coarse_duration_s": 2.0},
+        axes={"coarse_then": ["hand_over", "replay"]},
+    )
+    both = run.run(given, add_true_reference(simulated_record(small_study())))
     phi = both.curves["phi_u_arcmin"].to_numpy().reshape(2, 4)
     for time in (3, 4):
         at_time = both.summary[f"phi_u_at_{time}_arcmin"].to_numpy()

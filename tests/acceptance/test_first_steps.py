@@ -113,26 +113,22 @@ def test_wrong_command_line_gives_one_line_error(sinsjax, words, named):
     assert error.startswith("error: ") and named in error and not Path("out").exists()
 
 
-def test_validate_reports_planned_runs_and_cost(sinsjax):
+def test_validate_reports_planned_runs_and_cost_and_keys_explain(sinsjax):
     code, told, _ = sinsjax("validate", "reset_sweep", "--set", "alignment.phi_u0_deg=12")
     assert code == 0 and "variants: 56, draws: 16." in told
     assert "896 runs of up to 900 s: roughly" in told and "of memory" in told and "on disk" in told
+    code, told, _ = sinsjax("keys", "reset_count")
+    assert code == 0 and told.startswith("[resets] reset_count: default 0; methods: all but ")
+    assert sinsjax("keys", "earth")[1].count("[earth]") == 6
 
 
 def test_replace_changes_given_keys_and_what_follows_from_them():
-    study = package.load_study("reset_sweep")
-    assert study.replace({}) == study
-    assert study.replace({"alignment.phi_u0_deg": 12.0}).n_variants == 56
-    drawn = study.replace({"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]})
+    drawn = package.load_study("reset_sweep").replace(
+        {"drawn.gyro_bias_deg_per_h.normal": [0.0, 0.1]}
+    )
     assert not drawn.replace({"sensors.gyro_bias_deg_per_h": 0.0}).drawn_keys
     template = package.load_study(files.template_files()["sweep"])
     assert template.replace({"study.duration_s": 600.0}).study.window_s == (400.0, 600.0)
     assert template.replace({"axes.reset_times_s": {}}).axis_keys == ("phi_u0_deg",)
     paper = package.load_study("paper1_resets")
     assert paper.replace({"cases": paper.to_dict()["cases"][:1]}).values("case") == ["condition 1"]
-
-
-def test_keys_command_explains_key_and_section(sinsjax):
-    code, told, _ = sinsjax("keys", "reset_count")
-    assert code == 0 and told.startswith("[resets] reset_count: default 0; methods: all but ")
-    assert sinsjax("keys", "earth")[1].count("[earth]") == 6

@@ -86,8 +86,6 @@ def test_release_has_one_version_and_date_everywhere():
     assert f"sinsjax-{version}-py3" in start
 
 
-# Docstrings: each public name has an example
-
 EXAMPLES = {name: getattr(package, name) for name in package.__all__}
 """All public objects by name, with the methods of studies and results."""
 for cls in (package.Results, package.Study):

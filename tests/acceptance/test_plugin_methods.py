@@ -31,6 +31,7 @@ def site(tmp_path_factory):
 
 def sinsjax_with(site, cwd, command):
     """Run a command line in a process that finds the package; exit code, output, errors."""
+    (cwd / "averages.toml").write_text(STUDY)
     paths = f"{site}{os.pathsep}{EXAMPLE.parents[1]}"
     words = [sys.executable, "-m", "sinsjax", *command.split()]
     environment = os.environ | {"PYTHONPATH": paths}
@@ -41,7 +42,6 @@ def sinsjax_with(site, cwd, command):
 @pytest.mark.nightly
 @pytest.mark.optimised(False)
 def test_plugin_method_is_explained_and_swept_beside_built_in_methods(site, tmp_path):
-    (tmp_path / "averages.toml").write_text(STUDY)
     code, told, error = sinsjax_with(site, tmp_path, "keys averaged")
     assert (code, error) == (0, "") and "package: averaged-alignment 1.0" in told
     assert "averaging_time_s" in told and "time constant of the averages" in told
@@ -56,7 +56,6 @@ def test_plugin_method_is_explained_and_swept_beside_built_in_methods(site, tmp_
 
 @pytest.mark.nightly
 def test_wrong_plugin_method_is_reported_in_one_line_and_affects_only_its_studies(site, tmp_path):
-    (tmp_path / "averages.toml").write_text(STUDY)
     changed = Path(shutil.copytree(site, tmp_path / "site"))
     method = changed / "averaged_alignment" / "method.py"
     text = method.read_text()

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import tomli_w
 from support.stored_results import report_text
-from support.studies import BASE, PAPER, write_swing_record
+from support.studies import BASE, recorded_study, write_swing_record
 from support.sweep_directories import read_files_and_times
 
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution.directory import lock_directory
 from sinsjax.execution.results import Results, read_summary
-from sinsjax.study.load import load_study, with_point
+from sinsjax.study.load import load_study, study_to_toml, with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import gradient, history, run_tuning, search
 from sinsjax.tuning.history import Evaluation, SearchResult
@@ -36,12 +36,6 @@ STUDY = {
     "tune": TUNE,
 }
 COST = 3 * 2 * 400  # steps a point
-
-
-def write(path, **changes):
-    """Write the file of `STUDY` with sections replaced."""
-    path.write_text(tomli_w.dumps(STUDY | changes), encoding="utf-8")
-    return path
 
 
 def descend(study, stored, *, on_progress):
@@ -68,7 +62,8 @@ def faked():
 def made(faked, tmp_path_factory):
     """Return the directory of a tuning run by grid and gradient, next to its study file."""
     folder = tmp_path_factory.mktemp("tune")
-    run_tuning.tune(write(folder / "swing.toml"), folder / "out")
+    (folder / "swing.toml").write_text(tomli_w.dumps(STUDY))
+    run_tuning.tune(folder / "swing.toml", folder / "out")
     return folder / "out"
 
 
@@ -170,7 +165,8 @@ def test_resumed_tuning_descends_if_only_the_grid_is_complete(out):
 def test_mistake_is_one_line_and_changes_nothing(made, sinsjax, tmp_path):
     config = made.parent / "swing.toml"
     before = read_files_and_times(made)
-    other = write(tmp_path / "other.toml", tune=TUNE | {"grid_points": 4})
+    other = tmp_path / "other.toml"
+    other.write_text(tomli_w.dumps(STUDY | {"tune": TUNE | {"grid_points": 4}}))
     for words, text in (
         (("tune", config, "-o", made), "already holds a tuning run"),
         (("sweep", config, "--overwrite", "-o", made), "is not a result"),
@@ -214,15 +210,10 @@ def test_tuning_beside_another_writer_is_refused(out):
 def test_tune_on_stored_record_splits_start_times(tmp_path, sinsjax):
     """Every other start time tunes, the rest evaluate."""
     write_swing_record(tmp_path)
-    variables = {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}
-    data = {
-        "study": {"duration_s": 2.0, "rate_hz": 100.0, "window_s": [0, 2]},
-        "record": {"format": "psins", "start_s": [0.0, 0.5, 1.0]},
-        "coarse": {"coarse_duration_s": 3.0},
-        "filter": PAPER,
-        "tune": {"searches": ["grid"], "variables": variables, "objective": "final_error"},
-    }
-    (tmp_path / "car.toml").write_text(tomli_w.dumps(data))
+    tune = {"searches": ["grid"], "objective": "final_error"}
+    tune |= {"variables": {"p0_yaw_deg": {"candidates": [10.0, 80.0]}}}
+    study = recorded_study(record={"start_s": [0.0, 0.5, 1.0]}, tune=tune)
+    (tmp_path / "car.toml").write_text(study_to_toml(study))
     words = ["tune", "car.toml", "-o", "out", "--record", "swing.imu"]
     code, _, error = sinsjax(*words)
     assert code == 2 and "reference" in error

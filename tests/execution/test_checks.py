@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.stored_results import report_text
-from support.studies import recorded_study, small_study
+from support.studies import STILL, recorded_study, small_study
 
 import sinsjax
 from sinsjax.errors import InputError, StudyWarning
@@ -15,8 +15,6 @@ from sinsjax.units import DEG, DEG_PER_H, micro_g
 
 pytestmark = pytest.mark.optimised(False)
 
-STILL = {f"{angle}_amplitude_deg": 0.0 for angle in ("pitch", "roll", "yaw")}
-LARGE = {f"{angle}_amplitude_deg": 20.0 for angle in ("pitch", "roll", "yaw")}
 EARTH_RATE = 15.041067 * DEG_PER_H
 UP = np.array([0, 0, EARTH_RATE * np.sin(32 * DEG)]) / 100
 """Vertical Earth rate of a sample at 32 N, rad."""
@@ -44,7 +42,7 @@ def found(record, *, gyro=10.0, latitude=32.0):
 
 
 def test_plausible_record_has_no_findings(still, swinging):
-    for record in (still, swinging, simulate(LARGE)):
+    for record in (still, swinging, simulate(dict.fromkeys(STILL, 20.0))):
         assert not found(record) and not found(record, gyro=1.0)
 
 

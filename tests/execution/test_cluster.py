@@ -25,9 +25,6 @@ from sinsjax.platform import machine, runtime
 pytestmark = pytest.mark.optimised(False)
 
 
-# --- workers of this process ---------------------------------------------------------------------
-
-
 @pytest.fixture
 def local_cluster(monkeypatch):
     """A scheduler with two workers of one thread, all in this process."""
@@ -104,8 +101,6 @@ def test_late_worker_that_differs_is_refused_before_unpickling_job(required, lin
     with pytest.raises(InputError, match=f"^tcp://far:1: {line}"):
         cluster.run_task_on_worker("job", required, task, job=b"")
 
-
-# --- workers in other processes ------------------------------------------------------------------
 
 CHUNK = 128
 STUDY = small_study(

@@ -2,10 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 from support.memory import limit_memory_mb
 from support.record_files import write_psins
-from support.studies import recorded_study, small_study
+from support.studies import recorded_study, small_study, swing_deg, write_swing_record
 
 import sinsjax as package
 from sinsjax.engine.scenario import Scenario
@@ -40,6 +41,13 @@ def test_python_align_gives_rows_of_command(sinsjax, recorded, tmp_path):
     assert changed.summary["start_s"].to_pylist() == [1.0] and changed.curves.num_rows == 0
     stored = package.load_increments(study, log)
     assert package.align(stored, study).summary.equals(package.align(log, study).summary)
+    write_swing_record(tmp_path)
+    options = ("--reference", tmp_path / "true.csv", "-o", tmp_path / "judged")
+    assert sinsjax("align", tmp_path / "swing.imu", config, *options)[0] == 0
+    judged = package.read_summary(tmp_path / "judged")
+    error = np.array(judged["yaw_deg"]) - swing_deg(np.array([5.0, 6.0]))[:, 2]
+    # phi is the vector of C_true C_hat^T: about minus the error in yaw for small level angles.
+    np.testing.assert_allclose(-np.array(judged["phi_u_arcmin"]) / 60, error, rtol=0.02)
 
 
 def test_command_and_python_refuse_alike(sinsjax, recorded, tmp_path):

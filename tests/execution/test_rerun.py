@@ -40,13 +40,9 @@ def test_rerun_matches_run_of_whole_study(name):
             assert last[name].to_pylist() == row[name].to_pylist()
 
 
-@pytest.fixture(scope="module")
-def stored():
-    return add_true_reference(package.simulated_record(small_study()))
-
-
 @pytest.mark.nightly
-def test_rerun_and_resume_of_recorded_runs_need_the_same_record(tmp_path, stored):
+def test_rerun_and_resume_of_recorded_runs_need_the_same_record(tmp_path):
+    stored = add_true_reference(package.simulated_record(small_study()))
     path, other, out = tmp_path / "swing.imu", tmp_path / "other.imu", tmp_path / "out"
     write_psins(stored.record, path)
     write_psins(stored.record._replace(dv=stored.record.dv * 1.01), other)
@@ -82,6 +78,10 @@ def test_rerun_command_exits_1_when_the_row_differs(sinsjax, out, tmp_path):
     assert pq.read_table(tmp_path / "one" / "summary.parquet").to_pylist() == stored.to_pylist()
     curve = pq.read_table(tmp_path / "one" / "curve.parquet")
     assert curve["time_s"].to_pylist() == [1.0, 2.0] and not any(curve["run_id"].to_pylist())
+    with pytest.raises(InputError, match="has no run 256"):
+        repeat(out, 256)
+    with pytest.raises(InputError, match=r"has no \[record\] section"):
+        repeat(out, 0, files=(tmp_path / "swing.imu", None))
     changed = shutil.copytree(out, tmp_path / "changed")
     part = min(changed.glob("summary/*.parquet"))
     table = pq.read_table(part)
@@ -90,11 +90,3 @@ def test_rerun_command_exits_1_when_the_row_differs(sinsjax, out, tmp_path):
     code, said, _ = sinsjax("rerun", changed, "--run-id", 0, "-o", tmp_path / "two")
     assert code == 1 and "identical" not in said
     assert f"1 of {table.num_columns} columns differ from the stored row: yaw_deg" in said
-
-
-def test_rerun_of_no_run_or_with_a_record_that_is_not_needed_is_refused(out, tmp_path, stored):
-    with pytest.raises(InputError, match="has no run 256"):
-        repeat(out, 256)
-    write_psins(stored.record, tmp_path / "swing.imu")
-    with pytest.raises(InputError, match=r"has no \[record\] section"):
-        repeat(out, 0, files=(tmp_path / "swing.imu", None))

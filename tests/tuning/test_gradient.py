@@ -17,12 +17,8 @@ from sinsjax.tuning.gradient import Slope, Softness, TunedParams
 pytestmark = pytest.mark.optimised(False)
 
 
-def log(low, high):
-    return {"low": low, "high": high, "scale": "log"}
-
-
 def logs(**ends):
-    return {key: log(*both) for key, both in ends.items()}
+    return {key: {"low": low, "high": high, "scale": "log"} for key, (low, high) in ends.items()}
 
 
 def linear(low, high):
@@ -99,7 +95,6 @@ class MadeUpRuns(Slope):
     """Runs whose values are linear in the variables, with these slopes."""
 
     def __init__(self, study, slopes):
-        assert study.tune is not None
         self._tune, self._slopes, self._programs = study.tune, slopes, [self]
 
     def run(self, box, *_):
@@ -110,7 +105,7 @@ class MadeUpRuns(Slope):
 @pytest.mark.parametrize("what", ["settle_quantile", "final_error"])
 def test_gradient_of_objective_weights_runs_as_the_objective_does(what):
     """Two descents of two variants, three draws and two variables; the worst variant counts."""
-    study = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, objective=what, objective_across="worst")
+    study = tuned(logs(p0_yaw_deg=(5.0, 80.0)), {}, objective=what, objective_across="worst")
     slope = MadeUpRuns(study, np.random.default_rng(3).normal(size=(2, 3, 2)))
     box, draws, softness = np.array([[0.2, 0.7], [0.6, 0.4]]), np.arange(3), Softness(5.0, 3.0)
     _, by_box = slope(box, draws, softness)
@@ -124,8 +119,7 @@ def test_relaxed_score_is_near_hard_score():
 
     def ratio(**tune):
         """Return the relaxed score over the hard one, at two points."""
-        section = tuned({"p0_yaw_deg": log(5.0, 80.0)}, {}, **tune).tune
-        assert section is not None
+        section = tuned(logs(p0_yaw_deg=(5.0, 80.0)), {}, **tune).tune
         hard = [objective.score(section, values) for values in runs]
         return np.divide(objective.relaxed_score(section, runs)[0], hard)
 

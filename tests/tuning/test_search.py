@@ -92,7 +92,6 @@ def test_objective_is_computed_from_summary_rows(tune, values, score):
     """Two variants and three draws of a study of 6 s; rows in no order."""
     changes = {"axes": {"phi_u0_deg": [0.0, 5.0]}, "study": {"judged_from": "floor"}}
     study = tuned({"p0_yaw_deg": YAW}, changes=changes, **tune)
-    assert study.tune is not None
     table = ROWS.select(objective.summary_columns(study.tune, study))
     found = objective.run_values(study.tune, study, table)
     assert values is None or found.tolist() == values
@@ -135,8 +134,6 @@ def test_points_with_equal_keys_are_one_case_and_cost_nothing():
     assert scored.scores == [1.0, 2.0, 1.0, 3.0]
     assert scored.costs == [2 * 600 * count for count in (1, 2, 2, 3)]
 
-
-# The reset schedule by the law, a point of every search
 
 LONG_TIMES = [{"low": 1.0, "high": 100.0}, {"low": 1.0, "high": 200.0}]
 
