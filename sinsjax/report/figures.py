@@ -21,7 +21,7 @@ from sinsjax.report.attitude import heading_filters
 from sinsjax.report.document import MIN_DRAWS_FOR_INTERVALS, Picture
 from sinsjax.report.verdict import SweepOutcome
 from sinsjax.study.schema import BIAS_KEYS
-from sinsjax.study.success import success_columns
+from sinsjax.study.success import SuccessMeasure, success_columns
 
 
 def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Picture]:
@@ -44,7 +44,7 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
     others = [key for key in source.study.keys_shown if key not in axes]
     if len(axes) == 2:
         for criterion in source.success_measures:
-            yield from _maps(replace(outcome, criterion=criterion), axes, others)
+            yield from _maps(outcome, criterion, axes, others)
     elif axes:
         yield _curves_along_axis(outcome, axes[0], others)
     yield from _consistency(source)
@@ -92,11 +92,13 @@ def _count_points(table: Any, keys: Sequence[str]) -> int:
     return sum(1 for _ in analysis.group_rows(table.select(keys), keys))
 
 
-def _maps(outcome: SweepOutcome, axes: Sequence[str], by: Sequence[str]) -> Iterator[Picture]:
-    """Yield the maps by a criterion of success, titled by its best option."""
-    source, criterion = outcome.source, outcome.criterion
+def _maps(
+    outcome: SweepOutcome, criterion: SuccessMeasure, axes: Sequence[str], by: Sequence[str]
+) -> Iterator[Picture]:
+    """Yield the maps by a criterion of success, which frame the option that the verdict names."""
+    source = outcome.source
     settle, ok = criterion.settle_column, criterion.ok_column
-    shares = np.isfinite(outcome.time_s).mean(axis=-1)
+    shares = np.isfinite(replace(outcome, criterion=criterion).time_s).mean(axis=-1)
     if (shares < 0.5).all():
         return  # every cell would be grey
     table = source.rows([*by, *axes, settle, ok, "draw_id", "start_s"])
