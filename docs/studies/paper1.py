@@ -182,7 +182,7 @@ def draw_headings(runs: Runs, conditions: Mapping[str, pa.Table], title: str) ->
     lines = plots.group_curves(sinsjax.read_curves(runs.directory), ids)
     for colour, one in zip(plots.COLOURS, lines, strict=False):
         values = one.columns["phi_u_arcmin"] - conditions["1"]["floor_arcmin"][0].as_py()
-        plots.draw_mean_and_band(axes, one.label, one.time_s, values, colour)
+        plots.draw_mean_and_95_percent_band(axes, one.label, one.time_s, values, colour)
     axes.set_yscale("asinh", linear_width=1.0)
     axes.axhspan(-BAND_ARCMIN, BAND_ARCMIN, color=GREY, alpha=0.25, linewidth=0)
     for time_s in [*conditions.values()][-1]["reset_times_s"][0].as_py() or ():

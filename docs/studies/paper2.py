@@ -221,7 +221,7 @@ def draw_turns(cases: Sequence[Case]) -> Figure:
     figure.suptitle("Heading error of Scheme 2 from its bias floor, by its turn")
     axes = figure.subplots()
     for case, label, colour in zip(cases, TURNS.values(), plots.COLOURS, strict=False):
-        plots.draw_mean_and_band(axes, label, *case.headings(), colour)
+        plots.draw_mean_and_95_percent_band(axes, label, *case.headings(), colour)
     axes.set(xlim=(0, cases[0].runs.end_s), xlabel="update time (s)")
     axes.set_ylabel("heading error from its bias floor (deg)")
     figure.legend(loc="outside lower center", ncols=len(cases))

@@ -72,7 +72,7 @@ def cluster_ids(table: pa.Table) -> NDArray | None:
 def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     """The share of the values that are true, with an interval that holds for any dependence.
 
-    It is that of `_weighted_share_quantile`; for independent runs that of Clopper and Pearson.
+    It is that of `_lower_share_bound`; for independent runs that of Clopper and Pearson.
 
     Example:
         >>> analysis.format_estimate(analysis.share([True] * 16), digits=2)
@@ -90,9 +90,7 @@ def share(flags: ArrayLike, cluster: ArrayLike | None = None) -> Estimate:
     if runs.size < 2 and cluster is not None:  # a draw or a record alone, be it of one run
         return UNKNOWN._replace(value=value, n=data.size)
     with_one_more = np.append(runs, runs.max())
-    low, rest = (
-        _weighted_share_quantile(np.append(k, 0.0), with_one_more) for k in (hits, runs - hits)
-    )
+    low, rest = (_lower_share_bound(np.append(k, 0.0), with_one_more) for k in (hits, runs - hits))
     return Estimate(value, low, 1 - rest, data.size)
 
 
@@ -184,7 +182,7 @@ def _quantile_bounds(values: NDArray, draw_ids: NDArray, q: float) -> tuple[floa
     )
 
 
-def _weighted_share_quantile(hits: NDArray, runs: NDArray) -> float:
+def _lower_share_bound(hits: NDArray, runs: NDArray) -> float:
     """The 2.5 % quantile of a randomly weighted share, a bound of it for any dependence in a draw.
 
     ``hits`` of the ``runs`` of each draw have the property; one further draw, the last, has a share
@@ -244,13 +242,13 @@ def _probability_below(share: float, hits: NDArray, runs: NDArray) -> float:
     return float(values.real.sum())
 
 
-def _clustered_mean(values: NDArray, place: NDArray) -> tuple[float, float, int, float]:
+def _mean_error_count_skew(values: NDArray, cluster: NDArray) -> tuple[float, float, int, float]:
     """A mean, its standard error (NaN for one cluster), the number and skewness of clusters.
 
     A ratio estimate from the sums and sizes of the clusters (Cochran 1977, section 9A).
     """
     centre = float(np.mean(values))
-    sums = np.bincount(np.unique(place, return_inverse=True)[1], values - centre)
+    sums = np.bincount(np.unique(cluster, return_inverse=True)[1], values - centre)
     n, square = sums.size, float(np.sum(sums**2))
     error, skewness = math.nan, 0.0
     if n > 1:
@@ -293,7 +291,7 @@ def mean(
     data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    centre, error, n, skewness = _clustered_mean(data, place)
+    centre, error, n, skewness = _mean_error_count_skew(data, place)
     reach, skew = _student_reach(n), skewness / math.sqrt(n)
     low = centre - max(reach, _skewness_corrected(reach, skew)) * error
     high = centre + max(reach, -_skewness_corrected(-reach, skew)) * error
@@ -315,7 +313,7 @@ def rms(
     data, place = _finite_values(values, cluster)
     if data.size == 0:
         return UNKNOWN
-    square, error, n, _ = _clustered_mean(data**2, place)
+    square, error, n, _ = _mean_error_count_skew(data**2, place)
     value, ends = math.sqrt(square), (math.nan, math.nan)
     if square == 0.0 and n > 1:
         ends = 0.0, 0.0

@@ -24,7 +24,7 @@ from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, derive_inputs,
 from sinsjax.engine.samples import TileSensors
 from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
-from sinsjax.execution.directory import STUDY, check_directory, read_sealed_json, to_sealed_json
+from sinsjax.execution.directory import STUDY, read_sealed_json, refuse_links, to_sealed_json
 from sinsjax.execution.progress import ProgressCallback, RunProgress
 from sinsjax.maths.rotations import from_euler, to_euler
 from sinsjax.methods.method import Site
@@ -102,7 +102,7 @@ def export_study(
     runs = ProgramRuns(study.model_copy(update={"stop_when": None, "tune": None}))
     out = Path(directory)
     digests: dict[str, str] = {}
-    check_directory(out)
+    refuse_links(out)
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: is not empty (give another directory, or delete it)")
     make_folder(out / RECORDS)
@@ -147,9 +147,9 @@ def export_study(
     return out
 
 
-def read_export(directory: Path) -> tuple[Study, str]:
+def read_export_study_and_frame(directory: Path) -> tuple[Study, str]:
     """Return the study and the frame of a complete export whose files have not changed."""
-    check_directory(directory)
+    refuse_links(directory)
     again = "(`sinsjax export` writes one to another directory)"
     try:
         manifest = read_sealed_json(directory / MANIFEST)
@@ -250,11 +250,11 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
     samples = min(spec.intervals, int(environment.pass_intervals)) * spec.interval_samples
     if environment.increments is None and environment.motion is not None:
         motion, place = environment.motion, environment.site.place
-        rows = true_increments(motion, place, rate_hz, samples, axes=True)
+        rows = true_increments(motion, place, rate_hz, samples, with_axes=True)
         environment = environment._replace(increments=rows[:, :6], axes=rows[:, 6:])
     for number in range(batch.n_draws):
         draws = batch.select_draws(np.array([number])).draws
-        rows, site = jax.tree.map(np.array, _measure(spec, samples, environment, draws))
+        rows, site = jax.tree.map(np.array, _measure_single_draw(spec, samples, environment, draws))
         yield Record(
             dtheta=rows[:, :3],
             dv=rows[:, 3:],
@@ -267,7 +267,7 @@ def simulated_records(batch: Batch, rate_hz: float, source: str) -> Iterator[Rec
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _measure(
+def _measure_single_draw(
     spec: ProgramSpec, samples: int, environment: Environment, draws: Draw
 ) -> tuple[Array, Site]:
     """Return the measured increments (samples, 6) of a single draw, and its site."""

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -95,14 +95,14 @@ def score_results(
     if not re.fullmatch(_NAME, name):
         text = "must begin with a letter or digit, then have these, blanks and . _ + - (at most 60)"
         raise InputError(f"--name: {to_one_line(name)!r} {text}")
-    source, frame = export.read_export(directory)
+    source, frame = export.read_export_study_and_frame(directory)
     runs = ProgramRuns(source, name)
-    attitudes, has_quaternions = _read_results(Path(results), runs, frame)
+    attitudes, form = _read_attitudes_and_form(Path(results), runs, frame)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StudyWarning)  # the study was exported with these
         own = run_into(source, directory / _OWN, resume=True, curves=False, on_progress=on_progress)
     judged, phi = _judge(runs, attitudes)
-    readings = partial(_iter_readings, frame=frame, has_quaternions=has_quaternions)
+    readings = partial(_iter_readings, frame=frame, form=form)
     doubts = _iter_doubts(runs, attitudes, phi, readings)
     job = Job(
         runs.study,
@@ -116,13 +116,15 @@ def score_results(
     return Results.read(directory / _SCORES / name)
 
 
-def _read_results(path: Path, runs: ProgramRuns, frame: str) -> tuple[GivenAttitudes, bool]:
-    """Return the attitudes of all runs at record times, and whether the file has quaternions.
+def _read_attitudes_and_form(
+    path: Path, runs: ProgramRuns, frame: str
+) -> tuple[GivenAttitudes, Literal["angles", "quaternions"]]:
+    """Return the attitudes of all runs at record times, and the form that the file gives them in.
 
     Rows between record times do not count. Before its first row an attitude is unknown, unless its
     last row is the only one.
     """
-    table, first_row = _read_table(path, fingerprint(runs.source))
+    table, first_row = _read_table_and_first_row_number(path, fingerprint(runs.source))
     rate_hz, end_s = runs.source.rate_hz, runs.end_s
 
     def refuse(rows: NDArray, text: str) -> None:
@@ -146,7 +148,7 @@ def _read_results(path: Path, runs: ProgramRuns, frame: str) -> tuple[GivenAttit
     known = _SIGMA in table.column_names
     sigma = read(_SIGMA) * DEG if known else np.full(len(run), np.nan)
     refuse(sigma <= 0, f"{_SIGMA} must be above 0")
-    if has_quaternions := "q_w" in table.column_names:
+    if quaternions := "q_w" in table.column_names:
         values = np.stack([*map(read, _QUATERNION)], axis=-1)
         off = np.abs(np.linalg.norm(values, axis=-1) - 1) > _LENGTH_TOLERANCE
         refuse(off, f"{', '.join(_QUATERNION)} is no unit quaternion")
@@ -168,10 +170,10 @@ def _read_results(path: Path, runs: ProgramRuns, frame: str) -> tuple[GivenAttit
     *q, uu = (np.append(part, np.nan)[row] for part in (*attitude, sigma**2))
     nan = np.full_like(uu, np.nan)
     covariance = AttitudeCovariance(nan, nan, nan, nan, nan, uu)
-    return GivenAttitudes(present, Quat(*q), covariance), has_quaternions
+    return GivenAttitudes(present, Quat(*q), covariance), "quaternions" if quaternions else "angles"
 
 
-def _read_table(path: Path, digest: str) -> tuple[pa.Table, int]:
+def _read_table_and_first_row_number(path: Path, digest: str) -> tuple[pa.Table, int]:
     """Read the known columns of a file, and the number of their first row."""
     try:
         content = read_regular_file(path.resolve())
@@ -205,12 +207,10 @@ def _read_table(path: Path, digest: str) -> tuple[pa.Table, int]:
     return table, first_row
 
 
-def _iter_readings(
-    attitude: Quat, frame: str, *, has_quaternions: bool
-) -> Iterator[tuple[str, Quat]]:
+def _iter_readings(attitude: Quat, frame: str, form: str) -> Iterator[tuple[str, Quat]]:
     """Yield other readings of attitudes: what they suppose, in words, and attitudes."""
     angles = export.to_angles(attitude, frame)
-    if has_quaternions:
+    if form == "quaternions":
         w, x, y, z = export.to_quaternion(attitude, frame).T
         for words, parts in {
             "is the scalar of the quaternions last": (z, w, x, y),

@@ -74,7 +74,7 @@ def init(
 
     console = plain_console()
     if list_:
-        for line in _list_studies():
+        for line in _describe_templates_and_studies():
             print_line(console, line, wrap=True)
         return
     if name is None:
@@ -112,7 +112,7 @@ def _list_questions_and_next_command(text: str, path: Path, log: Path) -> Iterat
     yield f"`sinsjax align {log} {path} -o out` runs it."
 
 
-def _list_studies() -> Iterator[str]:
+def _describe_templates_and_studies() -> Iterator[str]:
     """Yield the templates and shipped studies with their purposes."""
     from sinsjax.study import files
 
@@ -184,7 +184,7 @@ def keys(
     from sinsjax.study import keys
 
     console = plain_console()
-    for line in keys.describe_method(name):
+    for line in keys.describe_method(name) if name else ():
         print_line(console, line, wrap=True)
     for key in keys.find_keys(name):
         is_fixed = key.default and not key.default.startswith("required")

@@ -319,17 +319,17 @@ def true_increments(
     rate_hz: float,
     samples: int,
     *,
-    axes: bool = False,
+    with_axes: bool = False,
     blank: bool = False,
 ) -> np.ndarray:
     """Return ideal increments, rad and m/s: (samples, 6), or with the axes of n (samples, 15).
 
     The axes of n in b are means over each sample. If blank, all are zero, enough to compile.
     """
-    increments = np.zeros((samples, 15 if axes else 6))
+    increments = np.zeros((samples, 15 if with_axes else 6))
     for first in range(0, 0 if blank else samples, _SAMPLES):
         block = increments[first : first + _SAMPLES]
-        made = _increments(motion, place, rate_hz, _SAMPLES, float(first), with_axes=axes)
+        made = _increments(motion, place, rate_hz, _SAMPLES, float(first), with_axes=with_axes)
         block[:] = made[: len(block)]
     return increments
 

@@ -179,7 +179,7 @@ def accumulate(
     )
 
 
-def store_reported_times(
+def store_error_at_report_times(
     metrics: Metrics, criteria: Criteria, covariance: AttitudeCovariance, n: Scalar
 ) -> Metrics:
     """Store the latest observation, that of sample n, if its time is one of those reported."""

@@ -125,7 +125,7 @@ def advance_interval(
         runs.steps(reading, interval.number),
         runs.begin_pass(tile.run.state, reading),
         tile.sensors,
-        runs.sensors.blocks(reading, runs.record),
+        runs.sensors.interval_blocks(reading, runs.record),
         by_event=runs.by_event,
     )
     turn = runs.housing_turn(interval.number, sensor_state)
@@ -229,7 +229,7 @@ class RunFunctions(NamedTuple):
         now = metrics.observe(q_true, attitude, covariance, finds_heading=finds_heading)
         time = n * self.spec.options.dt
         so_far = metrics.accumulate(run.metrics, criteria, now, floor=floor, time=time)
-        return Run(state, metrics.store_reported_times(so_far, criteria, covariance, n))
+        return Run(state, metrics.store_error_at_report_times(so_far, criteria, covariance, n))
 
     def finish(self, run: Run, site: Site, floor: BiasFloor) -> Outcome:
         """Return the outcome of the run after its last interval."""

@@ -218,7 +218,7 @@ class TileSensors(NamedTuple):
         most = max(1, min(SAMPLES_PER_BLOCK // self.draws.draw_id.size, samples))
         return max(n for n in range(1, most + 1) if samples % n == 0)
 
-    def blocks(self, reading: PassReading, record: Increments | None = None) -> Blocks:
+    def interval_blocks(self, reading: PassReading, record: Increments | None = None) -> Blocks:
         """Return the compensated samples of an interval in blocks, leaves (block, draws).
 
         Args:

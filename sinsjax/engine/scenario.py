@@ -34,7 +34,7 @@ from sinsjax.methods.floors import NO_BIASES, mean_biases
 from sinsjax.methods.method import Options, Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.platform import runtime
-from sinsjax.records import require_data
+from sinsjax.records import require_samples
 from sinsjax.records.reference import StoredRecord, reference_attitudes
 from sinsjax.strapdown import earth, processes, sensors
 from sinsjax.strapdown.base_motion import Motion, Sway, attitude_path
@@ -329,7 +329,7 @@ def _simulated_inputs(
         samples = _samples_read(study)
         samples = samples if samples <= MOST_STORED_SAMPLES else 0
         travels = disturbances.surge is not None or (rocks and motion.lever is not None)
-        rows = true_increments(motion, place, rate_hz, samples, axes=travels, blank=blank)
+        rows = true_increments(motion, place, rate_hz, samples, with_axes=travels, blank=blank)
         attitudes = true_attitudes(motion, times, blank=blank)
         if samples:
             increments, axes = rows[:, :6], rows[:, 6:] if travels else None
@@ -360,7 +360,7 @@ def _draws_any(study: Study, *sections: type[Section]) -> bool:
 
 
 def _drawn_fields(
-    study: Study, keys: Variants, draws: range, nominal: BaseAndSensors
+    study: Study, keys: Variants, draws: range, shaped_like: BaseAndSensors
 ) -> dict[str, Any]:
     """Return the drawn numbers of a simulated study as fields of `Draw`."""
     values = drawn_values(study, len(draws), first=draws.start)
@@ -368,7 +368,7 @@ def _drawn_fields(
         Variants(study, keys.ids, values, site=keys.site, micro_g=keys.micro_g)
     )
     errors, motion, disturbances = jax.tree.map(
-        lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, nominal
+        lambda a, like: np.broadcast_to(a, (len(draws), *np.shape(like))), drawn, shaped_like
     )
     fields = _initial_errors(values)
     if _draws_any(study, SensorsSection):
@@ -411,7 +411,7 @@ def _recorded_inputs(
     coarse_n, starts = study.samples_before(rate, method, *rest), start_samples(study, rate)
     needed = coarse_n + span.records_read * study.record_every
     for start in starts / rate:
-        require_data(record, start, needed / rate)
+        require_samples(record, start, needed / rate)
     # Only the part of the record that is read.
     first, end = starts.min(), starts.max() + needed
     increments = aligned_record(int(end - first))

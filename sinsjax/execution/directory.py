@@ -133,7 +133,7 @@ class Manifest(BaseModel):
     @classmethod
     def read(cls, directory: Path, *, any_version: bool = False) -> "Manifest":
         """Read the manifest of a results directory; it is refused as by `read_manifest`."""
-        check_directory(directory)
+        refuse_links(directory)
         path = directory / MANIFEST
         try:
             entries = read_sealed_json(path)
@@ -184,7 +184,7 @@ def read_manifest(directory: str | Path) -> dict[str, Any]:
     return Manifest.read(Path(directory)).entries
 
 
-def check_directory(directory: Path) -> None:
+def refuse_links(directory: Path) -> None:
     """Reject a directory in which a link or a pipe replaces a file or folder of results."""
     if str(directory) != str(directory).encode(errors="ignore").decode():
         raise InputError(f"{directory}: results need a folder whose name is UTF-8 (rename it)")
@@ -201,7 +201,7 @@ def check_directory(directory: Path) -> None:
 
 def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory with results that may not be used, or without, with other such files."""
-    check_directory(directory)
+    refuse_links(directory)
     names = (*DATASETS, "figures", STUDY)
     if not (directory / MANIFEST).exists():
         if existing := [name for name in names if (directory / name).exists()]:
@@ -220,7 +220,7 @@ def lock_directory(directory: Path) -> filelock.FileLock:
     The operating system releases the lock when the process ends, in whatever way.
     """
     make_folder(directory)
-    check_directory(directory)
+    refuse_links(directory)
     file_lock = filelock.FileLock(directory / LOCK)
     try:
         file_lock.acquire(blocking=False)

@@ -22,7 +22,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.messages import format_seconds
 from sinsjax.methods.registry import METHODS, PACKAGES, check_plugin
 from sinsjax.platform import runtime
-from sinsjax.records import Record, read_record, read_reference, require_data
+from sinsjax.records import Record, read_record, read_reference, require_samples
 from sinsjax.records.checks import StationaryValues, check_stationary, report_anomalies
 from sinsjax.records.layout import Finding
 from sinsjax.records.reference import StoredRecord
@@ -137,7 +137,7 @@ def check_job(job: Job, cost: Forecast) -> Job:
     forecast.check_resources(study.name, cost, job.directory if is_new else None)
     check_plugins(study, job.stored)
     if not study.is_recorded:
-        doubts = (*methods_not_using_turns(study), *band_warnings(study))
+        doubts = (*methods_not_using_turns(study), *iter_warnings_of_bands_below_noise(study))
     if study.dropped_s:
         notes += (f"The last {study.dropped_s:g} s do not fill a record interval and are not run.",)
     return job._replace(warnings=doubts, notes=notes, forecast=cost)
@@ -272,7 +272,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     merged: list[tuple[int, int]] = []
     for start in sorted(start_samples(study, rate_hz).tolist()):
         end = start + coarse + fine
-        require_data(record, start / rate_hz, (coarse + fine) / rate_hz)
+        require_samples(record, start / rate_hz, (coarse + fine) / rate_hz)
         if merged and start <= merged[-1][1]:
             start = merged.pop()[0]
         merged.append((start, end))
@@ -285,7 +285,7 @@ def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     return merged
 
 
-def band_warnings(study: Study) -> Iterator[str]:
+def iter_warnings_of_bands_below_noise(study: Study) -> Iterator[str]:
     """Warn of a heading band that the sensors' white noise exceeds, 1 sigma, in every variant.
 
     At most two thirds of the runs can end in such a band. The best variant counts, with all data of

@@ -29,7 +29,7 @@ from sinsjax.execution.tasks import (
     Task,
     TaskResult,
     TaskRunner,
-    interim_columns,
+    interim_analysis_columns,
     interim_draws,
     local_executor,
     widest_half_width,
@@ -282,7 +282,7 @@ def _run_tasks(
 def _may_stop(study: Study, sink: DirectoryStore | _MemorySink, draws: range) -> bool:
     if study.stop_when is None or draws.stop not in interim_draws(study):
         return False
-    rows = sink.read_summary(interim_columns(study))
+    rows = sink.read_summary(interim_analysis_columns(study))
     return widest_half_width(study, rows, draws.stop) <= study.stop_when.half_width
 
 

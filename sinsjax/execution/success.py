@@ -143,27 +143,27 @@ def has_floor(
         if pairs := METHODS[name].gyro_bias_keys:
             given = [pair for pair in pairs if study.has(SECTION_OF[pair[0]])]
             sigmas = [(number(bias), number(yaw)) for bias, yaw in given]
-            shared = _sigma_shared_with_bias(rate_n, sigmas)
+            shared = _heading_sigma_attributed_to_gyro_bias(rate_n, sigmas)
             floors = np.where(names == name, ~moves.any(0) & (shared <= MOST_SHARED), floors)
         floors &= METHODS[name].has_floor | (names != name)
     turns = "turn_times_s", "attitude_file"
     return floors & ~keys.compute(lambda *given: any(given), *turns, dtype=bool)
 
 
-def _sigma_shared_with_bias(
-    rate_n: np.ndarray, sigmas: list[tuple[np.ndarray, np.ndarray]]
+def _heading_sigma_attributed_to_gyro_bias(
+    north_rate: np.ndarray, bias_and_heading_sigmas: list[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
     """Return the part of one sigma of heading that a filter takes for east gyro bias, (runs,), rad.
 
     Heading and east bias are observed only as their sum, omega_N phi_U + eps_E, which least squares
-    splits by their variances. ``rate_n`` is omega_N, rad/s; the sigmas of gyro bias, deg/h, and
+    splits by their variances. ``north_rate`` is omega_N, rad/s; the sigmas of gyro bias, deg/h, and
     heading, deg, are those of the start, then of a reset; where NaN, it sets P as at the start.
     """
-    most = np.zeros(len(rate_n))
-    for at_reset in sigmas:
-        pairs = zip(at_reset, sigmas[0], strict=True)
+    most = np.zeros(len(north_rate))
+    for at_reset in bias_and_heading_sigmas:
+        pairs = zip(at_reset, bias_and_heading_sigmas[0], strict=True)
         bias, yaw = (np.where(np.isnan(a), start, a) for a, start in pairs)
-        ratio = (bias * DEG_PER_H / (rate_n * yaw * DEG)) ** 2
+        ratio = (bias * DEG_PER_H / (north_rate * yaw * DEG)) ** 2
         most = np.maximum(most, yaw * DEG * ratio / (1 + ratio))
     return most
 

@@ -249,7 +249,7 @@ def interim_draws(study: Study) -> list[int]:
     return [*ends[:-1], study.n_draws]
 
 
-def interim_columns(study: Study) -> list[str]:
+def interim_analysis_columns(study: Study) -> list[str]:
     """Return the columns of the summary that an interim analysis needs, that of its value last."""
     assert study.stop_when is not None
     name = study.stop_when.statistic
@@ -267,13 +267,13 @@ def widest_half_width(study: Study, table: pa.Table, draws: int) -> float:
     """Return the largest half width over the variants of the statistic's 95 % interval.
 
     It is infinite if a variant has too few settled runs for an interval. The table has
-    `interim_columns` of the summary in any order, with all runs of the first draws.
+    `interim_analysis_columns` of the summary in any order, with all runs of the first draws.
     """
     # Late: scipy takes a quarter of a second, and few studies need it.
     from sinsjax import analysis
 
     rows = table.filter(pc.less(table["draw_id"], draws)).sort_by("run_id")
-    column, widest = interim_columns(study)[-1], 0.0
+    column, widest = interim_analysis_columns(study)[-1], 0.0
     for _, runs in analysis.group_rows(rows, ["variant_id"]):
         if column == "status":
             estimate = analysis.share(analysis.numeric_column(runs, "status=ok"))

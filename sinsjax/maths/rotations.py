@@ -43,18 +43,18 @@ def rotate(q: Quat, v: Vec3) -> Vec3:
     return add(add(v, scale(q.w, t)), cross(u, t))
 
 
-def rotate_small(h: Vec3, q: Quat) -> Quat:
-    """Rotate q by the tiny rotation vector 2 h (rad): (1 - |h|^2 / 2, h) q.
+def rotate_small(half_rotation: Vec3, q: Quat) -> Quat:
+    """Rotate q by the tiny rotation vector 2 h (rad), of half h: (1 - |h|^2 / 2, h) q.
 
     Terms of order |h|^3 are neglected: for the Earth rate over one sample |h| is 4e-7, so they are
     below rounding error. Without the squared term the norm would drift by 1e-13 per sample.
     """
-    c = 1 - 0.5 * dot(h, h)
+    c = 1 - 0.5 * dot(half_rotation, half_rotation)
     return Quat(
-        c * q.w - (h.x * q.x + h.y * q.y + h.z * q.z),
-        c * q.x + (h.x * q.w + h.y * q.z - h.z * q.y),
-        c * q.y + (h.y * q.w + h.z * q.x - h.x * q.z),
-        c * q.z + (h.z * q.w + h.x * q.y - h.y * q.x),
+        c * q.w - (half_rotation.x * q.x + half_rotation.y * q.y + half_rotation.z * q.z),
+        c * q.x + (half_rotation.x * q.w + half_rotation.y * q.z - half_rotation.z * q.y),
+        c * q.y + (half_rotation.y * q.w + half_rotation.z * q.x - half_rotation.x * q.z),
+        c * q.z + (half_rotation.z * q.w + half_rotation.x * q.y - half_rotation.y * q.x),
     )
 
 

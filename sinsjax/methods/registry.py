@@ -49,12 +49,12 @@ def add_method(method: Method) -> None:
     """Add a method; an `InputError` says which name, section or key of it is not new."""
     if method.name in METHODS:
         raise InputError(f"there is already a method {method.name!r}")
-    _refuse_clash(method, SECTIONS_OF_METHODS)
+    _refuse_clashing_sections_and_keys(method, SECTIONS_OF_METHODS)
     METHODS[method.name] = method
     SECTIONS_OF_METHODS.update(method.sections)
 
 
-def _refuse_clash(method: Method, taken: Mapping[str, type[Section]]) -> None:
+def _refuse_clashing_sections_and_keys(method: Method, taken: Mapping[str, type[Section]]) -> None:
     """Refuse a method with a section or key that others have; methods may share a section."""
     for name, section in method.sections.items():
         for other, existing in taken.items():
@@ -119,7 +119,7 @@ def drop_clashing_plugins(reserved: Mapping[str, type[Section]]) -> None:
     """Make plug-ins unusable that have a section or key of the given ones, of every study."""
     for name in list(PACKAGES):
         try:
-            _refuse_clash(METHODS[name], reserved)
+            _refuse_clashing_sections_and_keys(METHODS[name], reserved)
         except InputError as error:
             BROKEN[name] = f"method {name!r} of {' '.join(PACKAGES.pop(name))}: {error}"
             del METHODS[name]

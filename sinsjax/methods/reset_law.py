@@ -71,8 +71,8 @@ _SURGE_SIGMA = 2 * DEG
 `docs/studies/reset_law/reset_surge.toml` with seeds 47 and 48."""
 
 _SECOND_SEGMENT = 2.5
-"""Length of the first of these two segments, in `ResetProblem.heading_time`; with 2.1 cell L5 is as
-soon."""
+"""Length of the first of these two segments, in `heading_time_to_reset_sigma`; with 2.1 cell L5 is
+as soon."""
 
 _MOST_SEGMENTS = 4
 _MIN_GAIN = 0.02  # of the time, for one more segment
@@ -102,7 +102,7 @@ class ResetProblem(NamedTuple):
         return math.sqrt(self.measurement_noise / self.velocity_noise)
 
     @property
-    def heading_time(self) -> float:
+    def heading_time_to_reset_sigma(self) -> float:
         """Time after which the heading information is that of the reset, J = 1/s0^2, s."""
 
         def is_early(time_s: float) -> bool:
@@ -190,7 +190,7 @@ def schedule(
             found = more
     if len(found) == 1 and heading_bound > _LARGE_ERROR:
         found = _two_segments(problem, ratio, band)
-    return _place_resets(problem, _early_resets(problem), found, ratio, band)
+    return _schedule_from_segments(problem, _early_resets(problem), found, ratio, band)
 
 
 def schedule_with(
@@ -211,7 +211,7 @@ def schedule_with(
         found[resets] = _equal_segments(problem, ratio, band, 1)
     elif not found:
         found[resets - 1] = _two_segments(problem, ratio, band)
-    schedules = (_place_resets(problem, *one, ratio, band) for one in found.items())
+    schedules = (_schedule_from_segments(problem, *one, ratio, band) for one in found.items())
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
@@ -241,7 +241,7 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
     """Return n - 1 equal segments and a last one that contract a ratio to a band in least time."""
     if n == 1:
         return (_last_segment(problem, ratio, band),)
-    lengths_s = problem.heading_time * np.geomspace(1e-2, 1e2, 2000)
+    lengths_s = problem.heading_time_to_reset_sigma * np.geomspace(1e-2, 1e2, 2000)
     rests = ratio / contraction(lengths_s, problem) ** (n - 1)
     place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
     return (*[lengths_s[place]] * (n - 1), _last_segment(problem, rests[place], band))
@@ -249,25 +249,25 @@ def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) ->
 
 def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
     """Return two segments that settle a large heading error, though the sum favours one."""
-    first_s = _SECOND_SEGMENT * problem.heading_time
+    first_s = _SECOND_SEGMENT * problem.heading_time_to_reset_sigma
     return first_s, _last_segment(problem, ratio / contraction(first_s, problem), band)
 
 
-def _place_resets(
-    problem: ResetProblem, early_resets: int, segments: tuple[float, ...], ratio: float, band: float
+def _schedule_from_segments(
+    problem: ResetProblem, early_count: int, lengths_s: tuple[float, ...], ratio: float, band: float
 ) -> ResetSchedule:
     """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    segments = _lengthen_last_segment_for_surge(problem, segments, ratio, band)
+    lengths_s = _lengthen_last_segment_for_surge(problem, lengths_s, ratio, band)
     early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
-    times = [early_s * k for k in range(1, early_resets + 1)]
+    times = [early_s * k for k in range(1, early_count + 1)]
     begin = times[-1]
-    for length_s in segments[:-1]:
+    for length_s in lengths_s[:-1]:
         later = round((times[-1] + length_s) / problem.feedback_s) * problem.feedback_s
         times = [*times, max(later - lag_s, times[-1] + problem.feedback_s)]
     rounded = tuple(float(f"{time:.9g}") for time in times)
-    return ResetSchedule(rounded, float(begin + sum(segments)), segments)
+    return ResetSchedule(rounded, float(begin + sum(lengths_s)), lengths_s)
 
 
 def _lengthen_last_segment_for_surge(
@@ -372,7 +372,7 @@ def _iter_filter_steps(
     problem: ResetProblem, times_s: Sequence[float], run_s: float
 ) -> Iterator[_FilterStep]:
     """Yield steps that are short after each reset and grow, up to a feedback or a reset."""
-    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.heading_time
+    feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.heading_time_to_reset_sigma
     shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
     longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
     for begin, end in zip((0.0, *times_s), (*times_s, run_s), strict=True):

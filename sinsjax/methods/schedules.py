@@ -134,16 +134,16 @@ def interpolate(share: Array, one: Array | float, other: Array | float) -> Array
 
 
 def reset_covariance(
-    effect: CovarianceReset, p: Triangle, to: Sequence[Scalar], heading: Sequence[int]
+    effect: CovarianceReset, p: Triangle, variances: Sequence[Scalar], heading: Sequence[int]
 ) -> Triangle:
     """Return P after a reset, given the variances that it resets to and the heading's states."""
     keep, keep_yaw, new, new_yaw = effect
     out = list(p)
-    for (i, j), k in triangle_index(len(to)).items():
+    for (i, j), k in triangle_index(len(variances)).items():
         if i <= j:
             out[k] = p[k] * (keep_yaw if i in heading or j in heading else keep)
         if i == j:
-            out[k] = out[k] + (new_yaw if i in heading else new) * to[i]
+            out[k] = out[k] + (new_yaw if i in heading else new) * variances[i]
     return tuple(out)
 
 

@@ -233,12 +233,12 @@ def build_surge_filter(options: Options) -> Filter:
 
     return build_filter(options)._replace(
         init=init,
-        transition=lambda state, here, f_dt: surge_transition(here, state.extra, dt),
+        transition=lambda state, here, f_dt: transition_with_surge(here, state.extra, dt),
         update=_update_with_surge,
     )
 
 
-def surge_transition(place: Place, rate: Scalar, dt: Scalar) -> Entries:
+def transition_with_surge(place: Place, rate: Scalar, dt: Scalar) -> Entries:
     """Return the non-zero entries of A dt with the states of the surge, see the module."""
     damping = rate * dt
     restoring = rate * damping

@@ -86,7 +86,7 @@ def select_runs_by_line(summary: pa.Table, by: Sequence[str]) -> dict[str, list[
     }
 
 
-def draw_mean_and_band(
+def draw_mean_and_95_percent_band(
     axes: Axes, label: str, time_s: NDArray, values: NDArray, colour: str
 ) -> None:
     """Draw the mean over some runs, (runs, T), and the band that contains 95 % of them.
@@ -207,7 +207,7 @@ def _draw_errors(
     panels, drawn = list(grid.flat)[:count], []
     for axes, (line, column) in zip(panels, product(enumerate(shown), columns), strict=True):
         number, ensemble = line
-        drawn += _draw_error(axes, ensemble, column, line_colour(number), name)
+        drawn += _draw_rms_error_and_sigma(axes, ensemble, column, line_colour(number), name)
         label = ", ".join(filter(None, (ensemble.label, columns[column])))
         axes.set_title(fill(label, _LETTERS[width]))
     found = np.concatenate(drawn)
@@ -226,7 +226,7 @@ def _draw_errors(
     return figure
 
 
-def _draw_error(
+def _draw_rms_error_and_sigma(
     axes: Axes, ensemble: Ensemble, column: str, colour: str, name: str
 ) -> list[NDArray]:
     """Draw the magnitude of an error, and return the values of all lines."""
@@ -258,7 +258,7 @@ def _draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
         covered = []
         for i, ensemble in enumerate(ensembles):
             time, values = ensemble.time_s, ensemble.column(column)
-            draw_mean_and_band(axes, ensemble.label, time, values, line_colour(i))
+            draw_mean_and_95_percent_band(axes, ensemble.label, time, values, line_colour(i))
             middle, sigma = values.mean(axis=0), ensemble.column(_SIGMAS[column]).mean(axis=0) / 60
             for side in (sigma, -sigma) if np.isfinite(middle + sigma).any() else ():
                 style: Any = {"color": line_colour(i), "linewidth": 0.9, "alpha": 0.8}

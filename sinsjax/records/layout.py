@@ -228,14 +228,14 @@ def resolve_rate(file_hz: float, layout: RecordLayout, uncertainty: float, sourc
     return layout.rate_hz
 
 
-def require_data(record: Record, start_s: float, needed_s: float) -> None:
+def require_samples(record: Record, start_s: float, length_s: float) -> None:
     """Reject a record that does not cover a time span from its beginning, or lacks samples."""
-    available_s, end_s = len(record.dtheta) / record.rate_hz, start_s + needed_s
+    available_s, end_s = len(record.dtheta) / record.rate_hz, start_s + length_s
     # A thousandth of a sample absorbs the rounding of the sum without hiding a missing sample.
     if start_s < 0 or end_s > available_s + 1e-3 / record.rate_hz:
         raise InputError(
             f"{record.source}: has {format_seconds(available_s)} s, but from start_s ="
-            f" {format_seconds(start_s)} the study needs {format_seconds(needed_s)} s,"
+            f" {format_seconds(start_s)} the study needs {format_seconds(length_s)} s,"
             f" up to {format_seconds(end_s)} s"
         )
     begin, end = start_s * record.rate_hz, end_s * record.rate_hz

@@ -144,7 +144,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     Rates are multiplied by the sampling interval. Time stamps are the ends of the samples and may
     be a few milliseconds late. A row that repeats the one before it, stamp included, is left out.
     A missing sample, from a gap or an empty cell, is interpolated if max_gap_s allows it; otherwise
-    it is nan and a flaw of the record, see `require_data`. Errors name the row and the column.
+    it is nan and a flaw of the record, see `require_samples`. Errors name the row and the column.
     """
     names = [name for sensor in layout.sensors for name in sensor.columns]
     samples = _read_samples(layout, table, names)

@@ -78,7 +78,7 @@ def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
 
 def _level_facts(source: Results) -> Iterator[Fact]:
     """The error of pitch and roll from the truth or reference, and that there is no heading."""
-    table = source.distinct_rows(["draw_id", "start_s", *_LEVEL_ERRORS])
+    table = source.distinct_variant_rows(["draw_id", "start_s", *_LEVEL_ERRORS])
     errors = np.concatenate([analysis.numeric_column(table, name) for name in _LEVEL_ERRORS])
     if np.isfinite(errors).any():
         clusters = np.tile(table["draw_id"].to_numpy(), len(_LEVEL_ERRORS))

@@ -60,7 +60,7 @@ def build_report(
         tables += [statistics_table(source, part) for part in parts]
         if 1 < study.n_variants <= MAX_ROWS and source.draws > 1:
             tables.append(comparison_table(source))
-        if text := outcome.held_out[0]:
+        if text := outcome.held_out_settling_and_agreement[0]:
             end = "(each half of the draws chooses for the other)"
             notes.append(f"{text[0].upper()}{text[1:]} {end}.")
     return build_short_report(source, outcome, warnings_shown=warnings_shown)._replace(
@@ -126,7 +126,7 @@ def statistics_table(source: Results, keys: Sequence[str]) -> Table:
         _Column("heading error at the end, rms (arcmin)", f"{_END}_rms", format_heading_error),
         _Column(drift, "phi_u_from_floor_arcmin_mean", format_estimate, True),
     ]
-    table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(study)])
+    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *success_columns(study)])
     names = [column.name for column in columns[1:]]
     groups = analysis.estimate_groups(table, keys, names).groups
     start, end = study.study.window_s
@@ -141,7 +141,7 @@ def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
         report_time_columns(t)[0].name: f"{t:g} s" for t in source.study.study.report_times_s or ()
     }
     times[_END] = "the end"
-    table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *times])
+    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *times])
     names = [f"{column}_{end}" for column in times for end in ("rms", "abs_q90")]
     groups = analysis.estimate_groups(table, keys, names).groups
     rows = [
@@ -165,7 +165,7 @@ def comparison_table(source: Results) -> Table:
     The first variant of all is the reference if the options of the conditions differ.
     """
     keys, measures = source.study.keys_shown, source.success_measures
-    table = source.distinct_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
+    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
     conditions = [key for key in keys if is_condition_key(key)]
     options = [key for key in keys if key not in conditions]
     parts = [rows for _, rows in analysis.group_rows(table, conditions)]

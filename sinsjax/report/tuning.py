@@ -32,7 +32,7 @@ def build_report(tuning: TuningResults) -> Report:
     return Report(
         f"{study.name}: tuned by {searches}",
         [*_answer_facts(tuning), *map(caution, _doubts(tuning))],
-        _ranked_candidates_table(tuning),
+        _ranked_candidates_against_baseline(tuning),
         [_candidate_table(tuning)],
         [*_landscape(tuning)],
         footer=f"{study.name}: {_describe_tuning_draws(tuning)}{variants_text} a point",
@@ -103,7 +103,7 @@ def _doubts(tuning: TuningResults) -> Iterator[str]:
         yield f"{ends}: at the end of the range, a better value may lie beyond"
 
 
-def _ranked_candidates_table(tuning: TuningResults) -> Table:
+def _ranked_candidates_against_baseline(tuning: TuningResults) -> Table:
     """The candidates by their objective, the best first."""
     rows = []
     for name in sorted(tuning.case_numbers, key=lambda name: tuning.score_of(name).value):

@@ -28,7 +28,7 @@ from sinsjax.analysis.labels import (
 )
 from sinsjax.columns import FAILED
 from sinsjax.errors import InputError
-from sinsjax.execution.prepare import band_warnings
+from sinsjax.execution.prepare import iter_warnings_of_bands_below_noise
 from sinsjax.execution.results import Results
 from sinsjax.messages import format_count
 from sinsjax.methods.filters.keys import SCHEDULE_KEYS
@@ -222,7 +222,7 @@ class SweepOutcome:
         return sorted(found, key=lambda option: capped_s[option].mean())
 
     @cached_property
-    def held_out(self) -> tuple[str, bool]:
+    def held_out_settling_and_agreement(self) -> tuple[str, bool]:
         """Settling on draws that did not choose the option, and whether the best's agrees.
 
         Each half of the draws is judged with the option that is best on the other half. No text
@@ -264,18 +264,18 @@ def build_short_report(
     is the first line, also for users who have seen the warnings.
     """
     study, outcome = source.study, outcome or find_outcome(source)
-    bands = [] if study.is_recorded else [*band_warnings(study)]
+    bands = [] if study.is_recorded else [*iter_warnings_of_bands_below_noise(study)]
     band = [caution(line, "Band") for line in bands]
     others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
     doubts = [*(caution(line, "Warning") for line in others), *_fit_cautions(source)]
     if outcome and finds_heading(source) and not study.is_recorded:
-        facts = [*band, *_program_facts(outcome), *_answer_facts(outcome)]
+        facts = [*band, *_external_program_facts(outcome), *_answer_facts(outcome)]
         facts += [*doubts, *_caution_facts(outcome)]
-        return Report(_study_title(source), facts, _condition_table(outcome))
+        return Report(_study_title(source), facts, _most_influential_condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []
     if outcome and finds_heading(source) and study.n_variants > 1:
-        variant, table = outcome.best_variant, _condition_table(outcome)
+        variant, table = outcome.best_variant, _most_influential_condition_table(outcome)
         judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
     doubts += filter_sigma_cautions(source)
     return Report(_study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
@@ -364,7 +364,7 @@ def _describe_accuracy(outcome: SweepOutcome) -> str:
     return f"{text}, bias floor only {lowest:.1f}'"
 
 
-def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _external_program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the mean heading error of each program outside sinsjax, and that of the best method.
 
     A run without a result counts 180 deg. The best is that of all draws.
@@ -390,7 +390,7 @@ def _program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
 def _caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield why the answer may mislead."""
     best, criterion = outcome.best, outcome.criterion
-    text, agrees = outcome.held_out
+    text, agrees = outcome.held_out_settling_and_agreement
     if outcome.source.study.is_recorded:
         yield caution("no intervals, since all runs are on one record")
     elif not agrees:
@@ -404,10 +404,10 @@ def _caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
             f" {criterion.band_arcmin:g}' from their bias floors: they have not converged,"
             " and their errors happen to be small"
         )
-    yield from process_noise_caution(outcome.source)
+    yield from excessive_process_noise_caution(outcome.source)
 
 
-def process_noise_caution(source: Results) -> Iterator[Fact]:
+def excessive_process_noise_caution(source: Results) -> Iterator[Fact]:
     """A caution if the filter's Q is far larger than the noise of the sensors."""
     if source.study.is_recorded:
         return
@@ -439,7 +439,7 @@ def _fit_cautions(source: Results) -> Iterator[Fact]:
             yield caution(f"the fit has {doubt.format(above.max())}{which}")
 
 
-def _condition_table(outcome: SweepOutcome) -> Table | None:
+def _most_influential_condition_table(outcome: SweepOutcome) -> Table | None:
     """The best option at each point of the condition along which its settling varies most."""
     time_s = np.minimum(outcome.time_s[outcome.best], outcome.unsettled_time_s).mean(axis=-1)
     points: dict[tuple[str, ...], dict[tuple[Any, ...], list[int]]] = {}

@@ -314,10 +314,10 @@ def ideal_sample(
         angle = sway.center + sin if turn is None else sway.center + sin + turn.angle
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
 
-    def at_node(ahead: Nodes, node: Any, side: float) -> InBody:
+    def at_node(ahead: Nodes, node: Any, sign: float) -> InBody:
         def sines_and_rates(wave: tuple, advance: Any, there: AngleRates | None) -> ByAngle:
             sin, cos, omega, here, turn = wave
-            later, versed = side * advance[0], advance[1]
+            later, versed = sign * advance[0], advance[1]
             change = sin * versed + cos * later
             rate = omega * (cos + (cos * versed - sin * later))
             bend = -omega * omega * (sin + change)
@@ -327,13 +327,13 @@ def ideal_sample(
             (s, c), (ds, dc) = here, sin_cos_near_zero(change)
             return (s * dc + c * ds, c * dc - s * ds), rate, bend
 
-        added = added_at(side * node) if motion.turns else (None,) * 3
+        added = added_at(sign * node) if motion.turns else (None,) * 3
         now, rates, bends = zip(*map(sines_and_rates, waves, ahead, added), strict=True)
-        turned = table and table(side * node)
+        turned = table and table(sign * node)
         return _motion_in_body(place, motion.lever, now, rates, bends, turned)
 
     def at_pair(ahead: Nodes, node: Any) -> InBody:
-        return jax.tree.map(jnp.add, *(at_node(ahead, node, side) for side in (-1.0, 1.0)))
+        return jax.tree.map(jnp.add, *(at_node(ahead, node, sign) for sign in (-1.0, 1.0)))
 
     # Mapped rather than unrolled: half the code to compile.
     pairs = jax.vmap(at_pair)(ahead, jnp.asarray(_NODES) if motion.turns else None)

@@ -396,7 +396,7 @@ def list_idle_keys(study: Study) -> list[str]:
     """
     tuned = {*study.tune.variables, *study.tune.baseline} if study.tune else set()
     idle: dict[str, dict[str, list[str]]] = {}  # keys by table, by the reason
-    for key, table in _iter_varied_or_changed_keys_with_tables(study):
+    for key, table in _iter_varied_or_non_default_keys_and_tables(study):
         deciding = deciding_keys(key)
         if SECTION_OF[key] not in SWEEPABLE or not tuned.isdisjoint(deciding):
             continue
@@ -416,7 +416,7 @@ def list_idle_keys(study: Study) -> list[str]:
     return [f"{'; '.join(parts)}."] if parts else []
 
 
-def _iter_varied_or_changed_keys_with_tables(study: Study) -> Iterator[tuple[str, str]]:
+def _iter_varied_or_non_default_keys_and_tables(study: Study) -> Iterator[tuple[str, str]]:
     """Yield the keys that a study varies or changes from their defaults, and their tables."""
     for name in filter(study.has, SWEEPABLE):
         section, fields = getattr(study, name), SECTIONS[name].model_fields

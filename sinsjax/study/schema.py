@@ -548,7 +548,7 @@ class RecordSection(Section):
     )
 
     @model_validator(mode="after")
-    def _check_columns(self) -> "RecordSection":
+    def _check_span_columns_and_units(self) -> "RecordSection":
         begin, end, names_columns = self.from_s or 0.0, self.to_s, self.format in ("csv", "parquet")
         if end is not None and end <= begin:
             raise rule_error(f"must be after from_s = {begin:g}, not {end:g}", key="to_s")

@@ -379,7 +379,7 @@ class Study(_SectionsOfMethods):
 
     def without_effect(self, key: str) -> np.ndarray:
         """Return whether a swept key has no effect on each variant; (variants,)."""
-        return self._effective_column(key).compute(lambda value: not value, bool)
+        return self._column_merging_ineffective_values(key).compute(lambda value: not value, bool)
 
     @property
     def duplicate_of(self) -> np.ndarray:
@@ -390,13 +390,13 @@ class Study(_SectionsOfMethods):
         codes = np.zeros(self.n_variants, np.int64)
         for key in self.axis_keys:
             if key != "case":
-                column = self._effective_column(key)
+                column = self._column_merging_ineffective_values(key)
                 codes = codes * len(column.choices) + column.codes
                 codes = np.unique(codes, return_inverse=True)[1]
         _, first = np.unique(codes, return_index=True)
         return first[codes]
 
-    def _effective_column(self, key: str) -> CodedColumn:
+    def _column_merging_ineffective_values(self, key: str) -> CodedColumn:
         """Return the values of a key over the variants; all values without effect are equal."""
         coarse = COARSE_START if key in INITIAL_KEYS and self.coarse else ()
         keys = tuple(dict.fromkeys((key, *deciding_keys(key), *coarse)))

@@ -40,7 +40,7 @@ from sinsjax.study.sweep import COUNT, TIMES, CodedColumn
 from sinsjax.study.values import Variants
 from sinsjax.tuning import objective, search
 from sinsjax.tuning.history import Evaluation, SearchPoint, SearchResult
-from sinsjax.tuning.search import GRADIENT, reset_law_box
+from sinsjax.tuning.search import GRADIENT, reset_law_schedule_in_unit_box
 from sinsjax.types import Array, Count
 from sinsjax.units import DEG, micro_g
 
@@ -88,7 +88,7 @@ def _descend_candidate(
     """
     tune, space = search.require_tune(study), SearchSpace.from_study(study)
     parameters, evaluations = TunedParams(study, space.combinations[number]), list[Evaluation]()
-    law, p = reset_law_box(study, number), len(parameters.variables)
+    law, p = reset_law_schedule_in_unit_box(study, number), len(parameters.variables)
     laws, box = np.empty((0, p)) if law is None else law[None], np.empty((1, p))
     if p:
         import optax  # late: it is slow to import, and only descents need it
@@ -247,7 +247,7 @@ class _Program:
         lanes = min(LANES, 1 << (max(draws * variants // (2 * devices), 8) - 1).bit_length())
         tiles = -(-draws * variants // (lanes * devices))
         self._layout = Layout(batch.spec, draws, variants, tiles_per_chunk=tiles, lanes=lanes)
-        self._jitted = jax.jit(self._differentiate)
+        self._jitted = jax.jit(self._differentiate_objective_values)
 
     def run(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
@@ -285,7 +285,7 @@ class _Program:
             for call in range(len(layout))
         ]
 
-    def _differentiate(
+    def _differentiate_objective_values(
         self, environment: Environment, tiles: Tiles, blocks: Count
     ) -> tuple[Array, Array]:
         """Return the values of some tiles' runs and their derivatives by their descent's box."""

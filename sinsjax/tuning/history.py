@@ -154,7 +154,7 @@ def read_searches(directory: Path, space: SearchSpace) -> list[SearchResult]:
 
 def is_tuning(directory: Path) -> bool:
     """Return whether a directory holds a tuning run, complete or not; links in it are refused."""
-    places.check_directory(directory)
+    places.refuse_links(directory)
     return (directory / FILE).exists()
 
 

@@ -27,7 +27,7 @@ from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import EVALUATION, TUNED, SearchResult
 from sinsjax.tuning.results import TuningResults
-from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, require_tune, reset_law_box
+from sinsjax.tuning.search import LAW, SearchSession, ShowProgress, require_tune
 
 
 def tune(
@@ -124,7 +124,7 @@ def run_tuning(job: Job, show_progress: ShowProgress, stop: threading.Event | No
                 found[name] = _descend(study, session)
             history.write_history(directory, study, found.values())
         best = min(found.values(), key=lambda result: result.best.objective)
-        _evaluate_best_points(study, found.values(), best.best.candidate, session)
+        _evaluate_searches_baseline_and_law(study, found.values(), best.best.candidate, session)
         tuned = search.make_tuned_study(study, best.point(SearchSpace.from_study(study)))
         text = study_to_toml(tuned)
         if not study.is_recorded:
@@ -184,8 +184,8 @@ def _descend(study: Study, session: SearchSession) -> SearchResult:
         return gradient.descend(study, session.job.stored, on_progress=report_or_stop)
 
 
-def _evaluate_best_points(
-    study: Study, results: Iterable[SearchResult], candidate: int, session: SearchSession
+def _evaluate_searches_baseline_and_law(
+    study: Study, results: Iterable[SearchResult], combination: int, session: SearchSession
 ) -> None:
     """Run the best points, the baseline and the law's schedule on draws not used for tuning.
 
@@ -193,8 +193,8 @@ def _evaluate_best_points(
     """
     space, baseline = SearchSpace.from_study(study), with_point(study, require_tune(study).baseline)
     points = {result.search: result.point(space) for result in results}
-    if (law := reset_law_box(study, candidate)) is not None:
-        (points[LAW],) = (one.keys(space) for one in search.points_at(space, candidate, [law]))
+    if (law := search.reset_law_schedule_in_unit_box(study, combination)) is not None:
+        (points[LAW],) = (one.keys(space) for one in search.points_at(space, combination, [law]))
     names: dict[tuple[object, ...], list[str]] = {}
     every = comparable_points(study, baseline, points)
     for name, point in every.items():

@@ -1,8 +1,8 @@
 """Searches that score points of the search space: a grid and Sobol points.
 
 The points are the cases of a study whose draws are the tuning draws. If reset times are tuned, the
-first point is the reset schedule by the law (`reset_law_box`) for the largest initial heading error
-of the study and the band of the objective. Both are swept into an ordinary results directory.
+first point is the reset schedule by the law (`reset_law_schedule_in_unit_box`) for the study's
+largest initial heading error and the objective's band. Both are swept into a results directory.
 """
 
 import threading
@@ -109,7 +109,7 @@ def design_points(study: Study, name: str) -> list[SearchPoint]:
     tune, space = require_tune(study), SearchSpace.from_study(study)
     laws, points = list[SearchPoint](), list[SearchPoint]()
     for number, combination in enumerate(space.combinations):
-        if (law := reset_law_box(study, number)) is not None:
+        if (law := reset_law_schedule_in_unit_box(study, number)) is not None:
             laws += points_at(space, number, [law])
         used = len(space.used_variables(combination))
         boxes: Any = product(np.linspace(0.0, 1.0, tune.grid_points), repeat=used)
@@ -224,7 +224,7 @@ def derive_study(
 _FIRST, _CYCLE, _HEADING = "reset_first_s", "reset_cycle_s", "phi_u0_deg"
 
 
-def reset_law_box(study: Study, combination_number: int = 0) -> NDArray | None:
+def reset_law_schedule_in_unit_box(study: Study, combination_number: int = 0) -> NDArray | None:
     """Return the reset schedule by the law as positions of the variables, 0 to 1, clipped; (p,).
 
     They are those that a combination of candidates uses. It has as many resets as the combination

@@ -7,7 +7,7 @@ from support.studies import STILL, recorded_study, small_study
 
 import sinsjax
 from sinsjax.errors import InputError, StudyWarning
-from sinsjax.execution.prepare import band_warnings, prepare_job
+from sinsjax.execution.prepare import iter_warnings_of_bands_below_noise, prepare_job
 from sinsjax.records import Reference
 from sinsjax.records.checks import StationaryValues, check_stationary
 from sinsjax.records.reference import StoredRecord
@@ -152,7 +152,7 @@ TACTICAL = {
     ],
 )
 def test_band_below_the_noise_of_the_sensors_is_warned_of(changes, band):
-    lines = list(band_warnings(small_study(**TACTICAL).replace(changes)))
+    lines = list(iter_warnings_of_bands_below_noise(small_study(**TACTICAL).replace(changes)))
     assert len(lines) == (band is not None)
     for line in lines:
         assert line.startswith(f"{band} cannot be reached reliably") and "in 600 s (29'," in line

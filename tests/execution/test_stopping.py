@@ -17,7 +17,7 @@ from sinsjax.engine.batch import map_in_threads
 from sinsjax.errors import StudyInterrupted
 from sinsjax.execution.tasks import (
     Executor,
-    interim_columns,
+    interim_analysis_columns,
     interim_draws,
     widest_half_width,
 )
@@ -61,7 +61,7 @@ def test_interim_analysis_matches_naive_count(judged, unsettled):
     ):
         axes = {"phi_u0_deg": [0.0, 1.0, 2.0]}
         study = make_study(statistic, 0.5, {"judged_from": judged}, axes=axes)
-        rows = table.select(interim_columns(study))
+        rows = table.select(interim_analysis_columns(study))
         halves = [(width.high - width.low) / 2 for width in widths]
         expected = max(math.inf if math.isnan(half) else half for half in halves)
         assert widest_half_width(study, rows, draws) == pytest.approx(expected)

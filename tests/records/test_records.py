@@ -32,7 +32,7 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 def read_whole(path: Path, layout: RecordLayout) -> Record:
     """Read a record and require its whole span, so missing samples are refused."""
     record = records.read_record(path, layout)
-    records.require_data(record, 0.0, len(record.dtheta) / record.rate_hz)
+    records.require_samples(record, 0.0, len(record.dtheta) / record.rate_hz)
     return record
 
 
@@ -64,13 +64,13 @@ def test_increments_survive_round_trip_bit_for_bit(tmp_path, kind, units, exact,
 def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     path = tmp_path / "a.imu"
     path.write_text(HEADER + "\n" + SAMPLE + "% late comment\r\n" + "+1 -1  1\t10 20 30 \n")
-    record = records.read_psins(path)
+    record = records.read_psins_text(path)
     scale = np.array([0.1, 0.2, 0.3]) * ARCSEC
     ug_s = np.array([125, 100, 50]) * 1e-6 * 9.780327
     np.testing.assert_allclose(record.dtheta, np.array([[-3, 0, 4], [1, -1, 1]]) * scale, 1e-14)
     np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
     assert record[2:7] == (100.0, 5.0, 34.2, 380.0, 9.780327)
-    turned = records.read_psins(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
+    turned = records.read_psins_text(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
     np.testing.assert_array_equal(turned.dv, record.dv[:, [1, 0, 2]] * [1, -1, 1])
 
 
@@ -179,9 +179,9 @@ def test_missing_samples_are_refused_or_interpolated_and_counted(tmp_path, cell)
     whole = np.delete(np.arange(400), missing)
     np.testing.assert_allclose(record.dtheta[whole, 2], time_s[whole])
     assert np.isnan(record.dtheta[missing]).all()
-    records.require_data(record, 2.03, 1.97)
+    records.require_samples(record, 2.03, 1.97)
     for begin, needed in ((1.5, 0.51), (2.02, 1.0), (2.01, 0.01)):
-        line = refusal_line(records.require_data, record, begin, needed)
+        line = refusal_line(records.require_samples, record, begin, needed)
         row = 202 if cell is not None else 201
         assert f"row {row}: " in line and ("a gap" in line) == (cell is None)
     record = read_whole(path, CSV._replace(max_gap_s=0.04))

@@ -10,7 +10,7 @@ from support.synthetic_tables import synthetic_summary
 
 from sinsjax import analysis
 from sinsjax.execution.results import Results
-from sinsjax.report.verdict import build_short_report, process_noise_caution
+from sinsjax.report.verdict import build_short_report, excessive_process_noise_caution
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -93,7 +93,7 @@ def test_accuracy_is_limited_by_unsettled_runs_or_by_the_floor(errors, end):
 @pytest.mark.parametrize(("scale", "cautions"), [(None, True), (1e-3, False)])
 def test_q_above_ten_times_the_noise_is_cautioned(scale, cautions):
     study = small_study(filter={} if scale is None else {"q_scale": scale})
-    (*found,) = process_noise_caution(Results(study, None))
+    (*found,) = excessive_process_noise_caution(Results(study, None))
     assert bool(found) == cautions
     if found:  # 100 Hz with Q per step: 100 times the standard deviation of a sample
         assert found[0].text.startswith("Q is 100 times the sensors' noise") and found[0].is_caution

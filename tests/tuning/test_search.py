@@ -13,7 +13,7 @@ from sinsjax.study.load import with_point
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import history, objective, search
 from sinsjax.tuning.history import Evaluation, SearchResult
-from sinsjax.tuning.search import reset_law_box
+from sinsjax.tuning.search import reset_law_schedule_in_unit_box
 from sinsjax.units import ARCMIN, DEG
 
 pytestmark = pytest.mark.optimised(False)
@@ -33,7 +33,7 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 def positions(study, name):
     """Return the points of a design by candidate and positions, 0 to 1; the law's come first."""
     space, points = SearchSpace.from_study(study), search.design_points(study, name)
-    laws = [search.points_at(space, n, [reset_law_box(study, n)]) for n in (1, 2)]
+    laws = [search.points_at(space, n, [reset_law_schedule_in_unit_box(study, n)]) for n in (1, 2)]
     np.testing.assert_array_equal([p.values for p in points[:2]], [p.values for (p,) in laws])
     return np.array([[p.candidate, *space.to_box(p.values)] for p in points[2:]])
 
@@ -145,7 +145,7 @@ def long(variables, tune=None, **changes):
 
 def value_at(study, number=0):
     """Return the keys of the law's point, or None."""
-    space, box = SearchSpace.from_study(study), reset_law_box(study, number)
+    space, box = SearchSpace.from_study(study), reset_law_schedule_in_unit_box(study, number)
     return None if box is None else search.points_at(space, number, [box])[0].keys(space)
 
 

@@ -296,7 +296,7 @@ class _ClosedLoop(NamedTuple):
         )
         if self.trigger is not None:
             fed_back = scale(share, self.filter.misalignment(state))
-            closed = triggers.update_after_feedback(self.trigger, closed, resets, fed_back, n)
+            closed = triggers.add_feedback_or_restart(self.trigger, closed, resets, fed_back, n)
         if params.resets.width is not None:
             return closed  # a share of a reset is due at every sample
         # Chosen, not computed: nothing times infinity, and zero plus minus zero, would change it.

@@ -108,7 +108,7 @@ def fired(state: Any, n: Scalar) -> Flag:
     return state.trigger_state.trigger_counts.last == n
 
 
-def update_after_feedback(
+def add_feedback_or_restart(
     trigger: Trigger, state: Any, reset: Flag, fed_back: Vec3, n: Scalar
 ) -> Any:
     """Return a filter's state after the n-th sample, with P reset or not and an angle fed back."""
@@ -170,8 +170,8 @@ _SMALL_LEVEL, _SMALL_HEADING = 0.1 * DEG, 4 * DEG
 """Errors of the linearisation point that do no harm, rad."""
 
 
-def _score_linearisation(
-    params: Any, p: Triangle, snapshot: FilterSnapshot
+def _score_overconfidence(
+    params: Any, honest_p: Triangle, snapshot: FilterSnapshot
 ) -> tuple[Triangle, Scalar]:
     """Return how far the knowledge of heading in P exceeds that of an honest linear model.
 
@@ -193,7 +193,7 @@ def _score_linearisation(
         return jnp.minimum(1.0, (level.x**2 + level.y**2) / _SMALL_LEVEL**2)
 
     zeros = tuple(jnp.zeros_like(v) for v in snapshot.belief.x)
-    honest = kalman.add_noise(kalman.propagate(Belief(zeros, p), snapshot.at_rest), params.q)
+    honest = kalman.add_noise(kalman.propagate(Belief(zeros, honest_p), snapshot.at_rest), params.q)
     honest, _ = kalman.update(honest, (VE, VN), (zeros[VE], zeros[VN]), params.r)
     p_star = snapshot.covariance(honest._replace(x=snapshot.belief.x))
     believed = snapshot.covariance(snapshot.belief).uu
@@ -219,6 +219,6 @@ def _sine_by_series(angle: Scalar) -> Scalar:
 
 TRIGGERS = {
     "innovation": Trigger(_empty_window, _score_innovation),
-    "linearisation": Trigger(lambda p: p, _score_linearisation),
+    "linearisation": Trigger(lambda p: p, _score_overconfidence),
 }
 """All triggers by name; ``[resets] reset_trigger`` names one."""

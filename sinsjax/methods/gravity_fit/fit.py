@@ -47,10 +47,10 @@ from sinsjax.methods.gravity_fit.noise import (
     Covariance,
     NoiseModel,
     SensorNoise,
-    heading_variance,
     multiply_pairs,
     noise_model,
     predict_noise,
+    vertical_gyro_heading_variance,
 )
 from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
 from sinsjax.strapdown.earth import Place
@@ -254,13 +254,15 @@ class _GaussNewtonPass(NamedTuple):
         amplitude = jnp.where(self.is_known > 0, _KNOWN, _ANY)
         sigmas = amplitude, _ANY, _LEVEL, _LEVEL, *jax.tree.leaves(params.sigmas())
         prior = jnp.stack([sigma + 0 * self.is_known for sigma in sigmas])
-        unknown, covariance, square, change = _solve_normal_equations(end.normal, self.guess, prior)
+        unknown, covariance, square, change = _solve_change_covariance_misfit_length(
+            end.normal, self.guess, prior
+        )
         later = self.guess.corrected(unknown, self.is_known)
 
         rotation, in_l = _final_attitude_error(end, unknown, covariance)
         ratio = jnp.abs(later.errors()) / jnp.where(prior > 0, prior, jnp.inf)[GYRO:]
         data_s = jnp.asarray(count, square.dtype) * self.length_s
-        level, heading = end.variance[0, 0], heading_variance(params.noise, data_s)
+        level, heading = end.variance[0, 0], vertical_gyro_heading_variance(params.noise, data_s)
         in_l = in_l + jnp.diag(jnp.stack([level, level, heading]))
         cos, sin = later.heading[0], -later.heading[1]
         levelled = rotations.multiply(rotations.exp(scale(-1.0, rotation)), self.guess.level)
@@ -359,21 +361,18 @@ def combine(vectors: Sequence[Vec3], factors: Sequence[Vec3]) -> Vec3:
     return reduce(add, map(scale, jax.tree.leaves(factors), vectors))
 
 
-def _solve_normal_equations(
-    normal: tuple[Array, ...], guess: _Guess, sigmas: Array
+def _solve_change_covariance_misfit_length(
+    normal: tuple[Array, ...], guess: _Guess, prior_sigmas: Array
 ) -> tuple[Array, Array, Scalar, Scalar]:
-    """Return the changes of the unknowns, their covariance, the sum of squared residuals.
-
-    And last the length of the changes, in sigma; ``sigmas`` are the belief about the unknowns.
-    """
-    n = len(sigmas)
+    """Return changes of the unknowns, covariance, squared residuals, length of changes in sigma."""
+    n = len(prior_sigmas)
     upper = jnp.stack([jnp.pad(row, (i, 0)) for i, row in enumerate(normal)])
     whole = upper + jnp.triu(upper, 1).T
     matrix, right = whole[:n, :n], whole[:n, n]
     # A known unknown, of sigma 0, is left out. The others differ by ten powers of ten: they are
     # scaled to the same information, without which the inverse would lose the small variances.
-    is_free = sigmas > 0
-    belief = jnp.where(is_free, 1 / jnp.where(is_free, sigmas, 1.0) ** 2, 0.0)
+    is_free = prior_sigmas > 0
+    belief = jnp.where(is_free, 1 / jnp.where(is_free, prior_sigmas, 1.0) ** 2, 0.0)
     information = jnp.where(is_free, jnp.diagonal(matrix) + belief, 1.0)
     size = jnp.where(is_free, 1 / jnp.sqrt(information), 0.0)
     scaled = matrix * size[:, None] * size[None, :]

@@ -130,7 +130,7 @@ def multiply_pairs(factor: Number, pairs: Array) -> Array:
     return jnp.stack([real * x - imaginary * y, imaginary * x + real * y], axis=-1)
 
 
-def heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
+def vertical_gyro_heading_variance(noise: SensorNoise, time_s: Scalar) -> Scalar:
     """Return the variance by which noise and drift of the vertical gyro turn the heading."""
     total = noise.gyro**2 * time_s
     for drift in noise.gyro_drifts:
