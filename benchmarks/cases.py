@@ -128,7 +128,7 @@ def engine_workload(
     chunks = [i % len(layout) for i in range(devices)]
     runs = sum(len(layout.active(chunk).lane) for chunk in chunks)
     arguments = [
-        (group.environment, layout.tiles_of(group, chunk), np.int32(layout.blocks(chunk)))
+        (group.environment, layout.tiles_of_chunk(group, chunk), np.int32(layout.blocks(chunk)))
         for chunk in chunks
     ]
     since = time.perf_counter()

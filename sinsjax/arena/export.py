@@ -115,7 +115,7 @@ def export_study(
     write(README, _README.format(study=study.name, format=format, frame=frame).encode())
     starts = np.empty((9, *runs.run_id.shape))
     names: dict[int, list[str]] = {}
-    for batch, condition in runs.batches():
+    for batch, condition in runs.batches_and_conditions():
         starts[:6, :, condition] = np.reshape(find_starts(batch), (6, study.n_draws, -1))
         number = int(runs.environments[condition[0]])
         if number in names:
@@ -273,7 +273,7 @@ def _measure_single_draw(
     """Return the measured increments (samples, 6) of a single draw, and its site."""
     draws = derive_inputs(spec, environment, draws)
     tile, all_ = TileSensors(spec, environment, draws), jnp.arange(samples)
-    now, _ = tile.make_sampler(all_)(tile.start(), all_)
+    now, _ = tile.make_block_sampler(all_)(tile.start(), all_)
     site = environment.site
     if draws.site is not None:
         site = jax.tree.map(lambda a: a[0], draws.site)

@@ -101,7 +101,7 @@ def score_results(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StudyWarning)  # the study was exported with these
         own = run_into(source, directory / _OWN, resume=True, curves=False, on_progress=on_progress)
-    judged, phi = _judge(runs, attitudes)
+    judged, phi = _summary_and_end_phi(runs, attitudes)
     readings = partial(_iter_readings, frame=frame, form=form)
     doubts = _iter_doubts(runs, attitudes, phi, readings)
     job = Job(
@@ -230,11 +230,11 @@ def _iter_readings(attitude: Quat, frame: str, form: str) -> Iterator[tuple[str,
         yield words, export.from_angles(np.stack([pitch, roll, yaw], axis=-1), frame)
 
 
-def _judge(runs: ProgramRuns, attitudes: GivenAttitudes) -> tuple[pa.Table, NDArray]:
+def _summary_and_end_phi(runs: ProgramRuns, attitudes: GivenAttitudes) -> tuple[pa.Table, NDArray]:
     """Return the rows of a program, and the misalignments at the end of its runs, (runs, 3)."""
     builder, tables, phi = TableBuilder(runs.study), [], np.empty((runs.run_id.size, 3))
     final_only, (draws, conditions) = _has_one(attitudes), runs.run_id.shape
-    for batch, condition in runs.batches():
+    for batch, condition in runs.batches_and_conditions():
         draw, variant = np.divmod(np.arange(draws * len(condition)), len(condition))
         run = draw * conditions + condition[variant]
         outcome = judge(batch, jax.tree.map(lambda a, run=run: a[:, run], attitudes))

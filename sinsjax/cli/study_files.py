@@ -139,7 +139,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     from sinsjax.study.changes import parse_changes
     from sinsjax.study.files import source_name
     from sinsjax.study.load import load_study
-    from sinsjax.study.rules import list_idle_keys
+    from sinsjax.study.rules import describe_idle_keys
 
     runtime.configure()  # plug-in methods are traced
     overrides = parse_changes(changes)
@@ -149,7 +149,7 @@ def describe_plan(config: Path, changes: list[str] | None) -> list[str]:
     else:
         draws = "start times" if study.is_recorded else "draws"
         summary = f"variants: {study.n_variants:,}, {draws}: {study.n_draws:,}"
-    lines = [f"{source_name(config)}: valid; {summary}.", *list_idle_keys(study)]
+    lines = [f"{source_name(config)}: valid; {summary}.", *describe_idle_keys(study)]
     if study.is_recorded:
         return [*lines, "The record determines the rate and the duration."]
     prepare: Callable[..., Any] = prepare_job

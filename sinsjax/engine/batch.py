@@ -223,7 +223,7 @@ class Layout:
         row, place = divmod(draw * self.width + variant, self._stride)
         return (row // self._sets * self._across + place // self.lanes) // self._size
 
-    def tiles_of(self, batch: Batch, number: int) -> Tiles:
+    def tiles_of_chunk(self, batch: Batch, number: int) -> Tiles:
         """Return the arguments of a chunk; idle lanes repeat the last draw or variant."""
         places = self[number]
         first = places.draw[..., :1]
@@ -314,7 +314,7 @@ _traced = lru_cache(maxsize=MOST_PROGRAMS)(LazyProgram)
 
 def trace_program(batch: Batch, layout: Layout, device: jax.Device | None = None) -> LazyProgram:
     """Return the program of a batch's chunks on a device, None for the default one."""
-    leaves, structure = jax.tree.flatten((batch.environment, layout.tiles_of(batch, 0)))
+    leaves, structure = jax.tree.flatten((batch.environment, layout.tiles_of_chunk(batch, 0)))
     home = None if device is None else jax.sharding.SingleDeviceSharding(device)
     shapes = tuple(
         jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=home) for a in leaves
@@ -355,7 +355,7 @@ class Chunks:
         """Compute a chunk, on the device of the calling thread."""
         home = getattr(_thread, "number", 0) % len(self._programs)
         call, environment = self._programs[home].compiled(), self._environments[home]
-        tiles = self.layout.tiles_of(self._batch, number)
+        tiles = self.layout.tiles_of_chunk(self._batch, number)
         blocks = np.int32(self.layout.blocks(number))
         outcome, curves = jax.device_get(call(environment, tiles, blocks))
         runs, axes = self.layout.active(number), tiles.draws.draw_id.ndim - 1  # tiles, and sets

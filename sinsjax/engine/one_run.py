@@ -19,7 +19,7 @@ from sinsjax.engine.metrics import Outcome
 from sinsjax.engine.run import run_tile
 from sinsjax.engine.scenario import Scenario, StudySource
 from sinsjax.errors import InputError
-from sinsjax.methods.filters.keys import find_key_without_gradient
+from sinsjax.methods.filters.keys import reset_key_without_gradient
 from sinsjax.methods.schedules import FeedbackSchedule, PiecewiseConstant, Resets, smooth_resets
 from sinsjax.records.reference import StoredRecord
 from sinsjax.types import Array
@@ -130,7 +130,7 @@ def one_run(
         soft = smooth_resets(params.method, np.float64(window_s * scenario.study.rate_hz))
         if soft is params.method:
             raise InputError(f"{source}: {batch.spec.method!r} has no resets to spread")
-        if key := find_key_without_gradient(scenario.keys(number), smoothed=True):
+        if key := reset_key_without_gradient(scenario.keys(number), smoothed=True):
             raise InputError(f"{source}: {key} cannot be spread over windows")
         if not window_s * scenario.study.rate_hz >= 1:
             raise InputError(f"{source}: must be a sample or more, not {window_s:g}")

@@ -358,14 +358,14 @@ class TileRuns(NamedTuple):
             any_triggered if triggered else None,
         )
 
-    def housing_turn(self, number: Count, sensor_state: SensorState) -> Quat | None:
+    def housing_turn(self, interval: Count, sensor_state: SensorState) -> Quat | None:
         """Return the rotation from the housing to the base at the end of an interval.
 
         Leaves (draws,); None if the housing does not rotate.
         """
         if self.turns is None:
             return sensor_state.housing and sensor_state.housing.turn
-        pass_number, place = jnp.divmod(number, self.one.environment.pass_intervals)
+        pass_number, place = jnp.divmod(interval, self.one.environment.pass_intervals)
         backward = pass_number % 2 == 1
         end = jnp.where(backward, self.one.environment.pass_intervals - place - 1, place + 1)
         turn: Quat = jax.tree.map(lambda a: a[end], self.turns)

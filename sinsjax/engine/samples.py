@@ -191,16 +191,16 @@ class TileSensors(NamedTuple):
         state: SensorState = map_draws(lambda draw: self.of_one(draw).start(), self.draws)
         return state
 
-    def make_sampler(self, samples: Array) -> Callable[[SensorState, Array], Measured]:
+    def make_block_sampler(self, sample_numbers: Array) -> Callable[[SensorState, Array], Measured]:
         """Return the function that measures some of the given samples for all draws.
 
         It takes the state before n samples and their places among the given ones, and returns
         measured increments with leaves (n, draws), and the state after them.
         """
-        shared = self._integrate_shared_motion(samples)
+        shared = self._integrate_shared_motion(sample_numbers)
 
         def measure(state: SensorState, places: Array) -> Measured:
-            numbers = samples[places]
+            numbers = sample_numbers[places]
             exact = self._integrate_swaying_motions(numbers)
             if shared is not None:
                 exact = jax.tree.map(lambda a: a[places], shared)
@@ -225,7 +225,7 @@ class TileSensors(NamedTuple):
             reading: order in which the interval reads the record.
             record: kept records, leaves (samples, draws); None to measure.
         """
-        measure, size = self.make_sampler(reading.samples), self.block_size
+        measure, size = self.make_block_sampler(reading.samples), self.block_size
         compensated = jax.vmap(jax.vmap(partial(compensate_in_pass, backward=reading.backward)))
 
         def read(n: Count) -> Increments:
@@ -253,7 +253,7 @@ class TileSensors(NamedTuple):
     def make_record(self) -> Increments:
         """Return the kept records of all draws, made block by block, leaves (samples, draws)."""
         kept, block = self.spec.kept, self.block_size
-        measure = self.make_sampler(jnp.arange(kept))
+        measure = self.make_block_sampler(jnp.arange(kept))
 
         def over_block(state: SensorState, number: Count) -> tuple[SensorState, Array]:
             now, state = measure(state, number * block + jnp.arange(block))

@@ -41,7 +41,7 @@ class DamagedError(InputError):
 def to_sealed_json(content: Mapping[str, Any]) -> bytes:
     """Return a JSON object as text, sealed by its last entry."""
     text = json.dumps({**content, SEAL_KEY: _BLANK_DIGEST}, indent=1, allow_nan=False)
-    return _seal(f"{text}\n".encode())
+    return _fill_seal(f"{text}\n".encode())
 
 
 def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None = None) -> bytes:
@@ -56,7 +56,7 @@ def to_sealed_parquet(table: pa.Table, extra_metadata: Mapping[str, str] | None 
         writer.write_table(table.replace_schema_metadata(schema.metadata))
         # In the footer only: the schema would store a second copy, in another encoding.
         writer.add_key_value_metadata({SEAL_KEY: _BLANK_DIGEST})
-    return _seal(sink.getvalue().to_pybytes())
+    return _fill_seal(sink.getvalue().to_pybytes())
 
 
 def read_sealed_json(path: Path) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def read_sealed_parquet(path: Path) -> pa.Table:
 
 def is_intact(content: bytes) -> bool:
     """Return whether a file's content matches its seal; False without one."""
-    return content != b"" and _seal(content) == content
+    return content != b"" and _fill_seal(content) == content
 
 
 def _read_intact(path: Path) -> bytes:
@@ -83,7 +83,7 @@ def _read_intact(path: Path) -> bytes:
     return content
 
 
-def _seal(content: bytes) -> bytes:
+def _fill_seal(content: bytes) -> bytes:
     """Return content with the SHA-256 of all the rest in its last seal; nothing without one."""
     start = content.rfind(SEAL_KEY.encode())
     seal = _SEAL.match(content, start) if start >= 0 else None

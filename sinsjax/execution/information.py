@@ -115,10 +115,10 @@ def budget_problem(study: Study) -> HeadingProblem:
     """
     runtime.ensure_configured()
     _check_bound_applies(study)
-    return _heading_problem(Scenario(study), 0, budget=True)
+    return _heading_problem(Scenario(study), 0, for_budget=True)
 
 
-def _heading_problem(scenario: Scenario, part: int, *, budget: bool = False) -> HeadingProblem:
+def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False) -> HeadingProblem:
     """Return the base and the sensors of a part, for its bound or for a budget of it."""
     study = scenario.study
     environment = scenario.batch(part, range(1), blank=True).environment
@@ -127,9 +127,9 @@ def _heading_problem(scenario: Scenario, part: int, *, budget: bool = False) -> 
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants, dt = scenario.keys(part), 1 / study.rate_hz
     sways = read_sways(variants.common)
-    motion = add_turns(_still(sways) if budget else sways, variants)
+    motion = add_turns(_still(sways) if for_budget else sways, variants)
     draws_errors = any(key in _CONSTANT_KEYS for key in study.drawn_keys)
-    still = not (budget or motion.turns or draws_errors)
+    still = not (for_budget or motion.turns or draws_errors)
     laws = {} if study.drawn is None else study.drawn.laws
 
     def sigma_of(key: str) -> Any:
@@ -144,12 +144,12 @@ def _heading_problem(scenario: Scenario, part: int, *, budget: bool = False) -> 
         coloured = coloured_errors(read_disturbances(variants, 1 / step), step)
         return coloured if still else {**coloured, **_rounding_errors(errors)}
 
-    if still or (budget and not motion.turns):
+    if still or (for_budget and not motion.turns):
         moving = partial(parked, np.asarray(mean_attitude(_still(motion))), place)
     else:
         moving = partial(_base_motion, motion, place)
     moves = (environment.disturbances.surge, environment.disturbances.shaking)
-    by_samples = not budget and any(process is not None for process in moves)
+    by_samples = not for_budget and any(process is not None for process in moves)
     longest_step = dt if by_samples else LONGEST_STEP_S
     periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]
     per_period = max((longest_step / period for period in periods), default=0.0)

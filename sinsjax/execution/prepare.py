@@ -29,9 +29,9 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.files import source_name
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.motion import data_end_s, methods_not_using_turns, read_attitude
+from sinsjax.study.motion import data_end_s, read_attitude, unused_turn_warnings
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
-from sinsjax.study.rules import list_idle_keys
+from sinsjax.study.rules import describe_idle_keys
 from sinsjax.study.study import Study
 from sinsjax.study.success import success_criteria
 from sinsjax.study.values import Variants
@@ -73,7 +73,7 @@ def prepare_job(
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
         job = job._replace(notes=(note, *job.notes))
-    return check_job(job, forecast.forecast_sweep(job.study, job.curves))
+    return check_and_annotate_job(job, forecast.forecast_sweep(job.study, job.curves))
 
 
 # --- steps of preparing a sweep or a tuning run, in order ---------------------------------------
@@ -99,7 +99,7 @@ def load_job(
     file = None if isinstance(study, Study) else Path(study)
     name = study.name if isinstance(study, Study) else source_name(study)
     study = load_study(study, overrides)
-    notes, doubts = list_idle_keys(study), list[str]()
+    notes, doubts = describe_idle_keys(study), list[str]()
     refuse_external(study.study.external, name)
     given = reference if record is None else record
     if given is not None and not study.is_recorded:
@@ -129,7 +129,7 @@ def load_job(
     return Job(study, record, **options)
 
 
-def check_job(job: Job, cost: Forecast) -> Job:
+def check_and_annotate_job(job: Job, cost: Forecast) -> Job:
     """Check what a job needs apart from its record, and collect its warnings and notes."""
     study, notes, doubts = job.study, job.notes, job.warnings
     read_attitude(study)
@@ -137,7 +137,7 @@ def check_job(job: Job, cost: Forecast) -> Job:
     forecast.check_resources(study.name, cost, job.directory if is_new else None)
     check_plugins(study, job.stored)
     if not study.is_recorded:
-        doubts = (*methods_not_using_turns(study), *iter_warnings_of_bands_below_noise(study))
+        doubts = (*unused_turn_warnings(study), *iter_warnings_of_bands_below_noise(study))
     if study.dropped_s:
         notes += (f"The last {study.dropped_s:g} s do not fill a record interval and are not run.",)
     return job._replace(warnings=doubts, notes=notes, forecast=cost)

@@ -172,42 +172,41 @@ class NoSchedule(ValueError):
 
 
 def schedule(
-    problem: ResetProblem, heading_bound: float, band: float = 10 * ARCMIN
+    problem: ResetProblem, initial_heading: float, band: float = 10 * ARCMIN
 ) -> ResetSchedule:
     """Return the times of the resets by the law.
 
-    The bound is the largest initial heading error, the band the error within which a run is
-    settled, rad.
+    The heading is the largest initial error, the band the error within which a run is settled, rad.
 
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
-    ratio = _required_contraction(problem, heading_bound, band)
+    ratio = _check_and_scale_heading(problem, initial_heading, band)
     found = _equal_segments(problem, ratio, band, 1)
     for count in range(2, _MOST_SEGMENTS + 1):
         more = _equal_segments(problem, ratio, band, count)
         if sum(more) < (1 - _MIN_GAIN) * sum(found):
             found = more
-    if len(found) == 1 and heading_bound > _LARGE_ERROR:
+    if len(found) == 1 and initial_heading > _LARGE_ERROR:
         found = _two_segments(problem, ratio, band)
     return _schedule_from_segments(problem, _early_resets(problem), found, ratio, band)
 
 
 def schedule_with(
-    problem: ResetProblem, heading_bound: float, band: float, resets: int
+    problem: ResetProblem, initial_heading: float, band: float, resets: int
 ) -> ResetSchedule:
     """Return the best schedule by the law that has a given number of resets, at least 1.
 
     With few resets early ones are left out; with many there are more segments, or more early ones.
     Arguments and errors are those of `schedule`.
     """
-    ratio, early_s = _required_contraction(problem, heading_bound, band), levelling_time(problem)
-    found = {}
+    ratio = _check_and_scale_heading(problem, initial_heading, band)
+    early_s, found = levelling_time(problem), {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
         segments = _equal_segments(problem, ratio, band, resets + 1 - early)
         if segments[0] > early_s:  # otherwise the sum favours fewer segments
             found[early] = segments
-    if resets == 1 or heading_bound <= _LARGE_ERROR:
+    if resets == 1 or initial_heading <= _LARGE_ERROR:
         found[resets] = _equal_segments(problem, ratio, band, 1)
     elif not found:
         found[resets - 1] = _two_segments(problem, ratio, band)
@@ -215,7 +214,7 @@ def schedule_with(
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
-def _required_contraction(problem: ResetProblem, heading_bound: float, band: float) -> float:
+def _check_and_scale_heading(problem: ResetProblem, initial_heading: float, band: float) -> float:
     """Check that the law has a schedule, and return 2 tan(phi0/2)."""
     if problem.velocity_noise <= 0:
         raise NoSchedule("with a Q of zero no reset ever pays (use 'none')")
@@ -223,14 +222,14 @@ def _required_contraction(problem: ResetProblem, heading_bound: float, band: flo
         raise NoSchedule("R of zero has no schedule (give r_velocity_m_per_s)")
     if problem.north_rate <= 1e-3 * 7.292e-5:
         raise NoSchedule("no heading can be found at a pole (give another latitude_deg)")
-    if not band < heading_bound < math.pi:
-        bound = f"a bound of {heading_bound / DEG:.3g} deg"
+    if not band < initial_heading < math.pi:
+        bound = f"a bound of {initial_heading / DEG:.3g} deg"
         raise NoSchedule(f"{bound} is not between the band and 180 deg")
     if not math.isfinite(_last_segment(problem, 1.0, band)):
         sigma = heading_sigma(1e3, problem) / ARCMIN
         text = f"noise exceeds a band of {band / ARCMIN:g}': 1 sigma is {sigma:.0f}' after 1000 s"
         raise NoSchedule(f"{text} (give a wider settle_band_arcmin)")
-    return 2 * math.tan(heading_bound / 2)
+    return 2 * math.tan(initial_heading / 2)
 
 
 def _early_resets(problem: ResetProblem) -> int:
@@ -337,7 +336,7 @@ def predict_settling_time(
     noise = np.diag([*[problem.velocity_noise] * 2, *[problem.tilt_noise] * 2, 0.0])
     p, x = start.copy(), np.zeros(5)  # velocity and tilt, east and north; heading
     v, settled_s, before = 0j, math.inf, math.inf
-    for end_s, dt, since_s, is_fed, is_reset in _iter_filter_steps(problem, times_s, run_s):
+    for end_s, dt, since_s, is_fed, is_reset in _iter_time_steps(problem, times_s, run_s):
         tilt_dt, heading_dt = g * dt, north * dt
         rate = 1j * north * (cmath.exp(-1j * heading) - 1)
         force_dt = tilt_dt * (tilt + rate * dt / 2)
@@ -368,14 +367,14 @@ def predict_settling_time(
     return settled_s
 
 
-def _iter_filter_steps(
-    problem: ResetProblem, times_s: Sequence[float], run_s: float
+def _iter_time_steps(
+    problem: ResetProblem, reset_times_s: Sequence[float], run_s: float
 ) -> Iterator[_FilterStep]:
     """Yield steps that are short after each reset and grow, up to a feedback or a reset."""
     feedback_s, reach_s = problem.feedback_s, _LAG_REACH * problem.heading_time_to_reset_sigma
     shortest = max(min(problem.tau / 4, levelling_time(problem) / 20), run_s / 1e5)
     longest = max(_LAG_STEP * problem.tau, shortest, run_s / _MOST_STEPS)
-    for begin, end in zip((0.0, *times_s), (*times_s, run_s), strict=True):
+    for begin, end in zip((0.0, *reset_times_s), (*reset_times_s, run_s), strict=True):
         now = begin
         while now < end:
             since = now - begin

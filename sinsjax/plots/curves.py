@@ -162,8 +162,8 @@ def plot_curves(
         return _draw_attitude(ensembles, title or "Attitude")
     has_heading = any(np.isfinite(e.column("phi_u_arcmin")).any() for e in ensembles)
     if level or not has_heading:
-        return _draw_errors(ensembles, _LEVEL, "level error", title)
-    return _draw_errors(ensembles, _HEADING, "heading error", title)
+        return _draw_rms_and_sigma(ensembles, _LEVEL, "level error", title)
+    return _draw_rms_and_sigma(ensembles, _HEADING, "heading error", title)
 
 
 def _with_floor_and_resets(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
@@ -191,7 +191,7 @@ def _mark_resets(axes: Axes, times_s: Iterable[float]) -> None:
 
 
 @with_style
-def _draw_errors(
+def _draw_rms_and_sigma(
     ensembles: Sequence[Ensemble], columns: Mapping[str, str], name: str, title: str
 ) -> Figure:
     """Draw the rms of errors next to the filter's 1 sigma, a panel per line that has them."""

@@ -195,7 +195,7 @@ def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
     proposal.questions |= clock.questions
     proposal.rate_hz = answers.get("rate_hz", math.nan if clock.questions else clock.rate_hz)
     if len(names) == 2:
-        _propose_sensors(table, [*filter(None, triads.values())], answers, proposal)
+        _propose_units_and_axes(table, [*filter(None, triads.values())], answers, proposal)
     else:
         open_keys = ("gyro_unit", "accel_unit", "axes_order")
         proposal.questions |= dict.fromkeys(open_keys, "open until the columns are known")
@@ -251,7 +251,7 @@ def _find_triad(
     return None
 
 
-def _propose_sensors(
+def _propose_units_and_axes(
     table: Table, triads: Sequence[Triad], answers: Mapping[str, Any], proposal: Proposal
 ) -> None:
     """Propose units, scales and axes of both sensors, with reasons or questions."""

@@ -137,11 +137,11 @@ def is_number(text: str) -> bool:
 
 def open_log(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) -> Table:
     """Open a Parquet file, recognised by its first bytes, or delimited text as `open_text`."""
-    is_parquet = _read_start(path).startswith(b"PAR1")
+    is_parquet = _read_first_four_bytes(path).startswith(b"PAR1")
     return open_parquet(path) if is_parquet else open_text(path, columns, skip_rows)
 
 
-def _read_start(path: str | Path) -> bytes:
+def _read_first_four_bytes(path: str | Path) -> bytes:
     """Return the first bytes of a file; raises InputError if it cannot be read."""
     try:
         if Path(path).is_fifo():
@@ -186,7 +186,7 @@ class _Shape(NamedTuple):
 
 def read_lines(path: str | Path) -> Iterator[str]:
     """Yield the lines of a text file, in UTF-8 or in UTF-16 with its mark, gzipped or not."""
-    start = _read_start(path)
+    start = _read_first_four_bytes(path)
     encoding = "utf-16" if start.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     opener: Callable[..., Any] = gzip.open if start.startswith(b"\x1f\x8b") else open
     try:

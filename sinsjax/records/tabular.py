@@ -166,7 +166,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
         return f"{table.source}: {row}: column {names[channel]!r}: {MISSING_TEXT}"
 
     remarks = samples.remarks
-    if count := _interpolate_gaps(whole, rate_hz, layout.max_gap_s):
+    if count := _interpolate_short_gaps(whole, rate_hz, layout.max_gap_s):
         remarks.append(f"{format_count(count, 'missing sample')} interpolated, see max_gap_s")
     hint = "" if layout.format == "psins" else " (max_gap_s interpolates short gaps)"
     missing = find_spans(np.isnan(whole[:, 0]))
@@ -220,7 +220,7 @@ def _read_samples(layout: RecordLayout, table: Table, names: list[str]) -> _Samp
     return _Samples(values, row, time_s, sampling, remarks)
 
 
-def _interpolate_gaps(rows: FloatArray, rate_hz: float, max_gap_s: float) -> int:
+def _interpolate_short_gaps(rows: FloatArray, rate_hz: float, max_gap_s: float) -> int:
     """Interpolate short gaps of rows that are nan, in place; return the number of such rows."""
     missing = np.isnan(rows[:, 0])
     good, short = np.flatnonzero(~missing), np.zeros(len(rows), bool)

@@ -271,17 +271,17 @@ def build_short_report(
     if outcome and finds_heading(source) and not study.is_recorded:
         facts = [*band, *_external_program_facts(outcome), *_answer_facts(outcome)]
         facts += [*doubts, *_caution_facts(outcome)]
-        return Report(_study_title(source), facts, _most_influential_condition_table(outcome))
+        return Report(_run_summary(source), facts, _most_influential_condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []
     if outcome and finds_heading(source) and study.n_variants > 1:
         variant, table = outcome.best_variant, _most_influential_condition_table(outcome)
         judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
     doubts += filter_sigma_cautions(source)
-    return Report(_study_title(source), [*attitude_facts(source, variant), *judged, *doubts], table)
+    return Report(_run_summary(source), [*attitude_facts(source, variant), *judged, *doubts], table)
 
 
-def _study_title(source: Results) -> str:
+def _run_summary(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")

@@ -76,7 +76,7 @@ class AttitudePath(NamedTuple):
     time: Array
     coefficients: Array
 
-    def at(self, t: Scalar) -> tuple[AngleRates, AngleRates, AngleRates]:
+    def pitch_roll_yaw_at(self, t: Scalar) -> tuple[AngleRates, AngleRates, AngleRates]:
         """Return pitch, roll and yaw with their derivatives at a time (s)."""
         time, knots = jnp.asarray(self.time), len(self.time)
         place = jnp.clip(jnp.searchsorted(time, t, side="right") - 1, 0, knots - 2)
@@ -131,7 +131,7 @@ class Motion(NamedTuple):
         """Return whether the base does not only sway, so that its motion has no mean attitude."""
         return any(part is not None for part in (self.vertical, self.table, self.path))
 
-    def at(self, t: Scalar) -> tuple[AngleRates, ...]:
+    def pitch_roll_yaw_at(self, t: Scalar) -> tuple[AngleRates, ...]:
         """Return pitch, roll and yaw with their derivatives at a time (s)."""
         added = self.added_angles(t, self.vertical and self.vertical.at(t))
         return tuple(sway.at(t).plus(more) for sway, more in zip(self.angles, added, strict=True))
@@ -140,13 +140,13 @@ class Motion(NamedTuple):
         """Return what a turn about the vertical and the path at a time (s) add to the sways."""
         if self.path is None:
             return None, None, turn
-        pitch, roll, yaw = self.path.at(t)
+        pitch, roll, yaw = self.path.pitch_roll_yaw_at(t)
         return pitch, roll, yaw.plus(turn)
 
 
 def attitude(motion: Motion, t: Scalar) -> Quat:
     """Return the true attitude, body to navigation frame, at time t (s)."""
-    q = from_euler(*(angle.angle for angle in motion.at(t)))
+    q = from_euler(*(angle.angle for angle in motion.pitch_roll_yaw_at(t)))
     if motion.table is None:
         return q
     half = 0.5 * motion.table.at(t).angle
@@ -160,7 +160,7 @@ def rate_and_force(motion: Motion, place: Place, t: Scalar) -> tuple[Vec3, Vec3]
     w_nb^b follows from the Euler rates: the yaw rate resolved through pitch and roll, the pitch
     rate through roll. The centre of the sway has no velocity.
     """
-    angles, rates, bends = zip(*motion.at(t), strict=True)
+    angles, rates, bends = zip(*motion.pitch_roll_yaw_at(t), strict=True)
     now, table = tuple(map(sin_cos, angles)), motion.table and motion.table.at(t)
     body = _motion_in_body(place, motion.lever, now, rates, bends, table)
     return _rate_and_force_in_body(place, body)

@@ -280,7 +280,7 @@ def describe_differences(
 
     A study may be the sections of a manifest; the labels are words for the places of both.
     """
-    before, after = _values_by_key(old), _values_by_key(new)
+    before, after = _values_by_section_and_key(old), _values_by_section_and_key(new)
     return [
         f"{key}: {shorten(str(before.get(key, 'none')), 60)} {labels[0]},"
         f" {shorten(str(after.get(key, 'none')), 60)} {labels[1]}"
@@ -289,7 +289,7 @@ def describe_differences(
     ] or ["the order of its keys, or the content of [motion] attitude_file"]
 
 
-def _values_by_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
+def _values_by_section_and_key(study: Study | Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a study by section and key of its file."""
     tables = dict(sections_to_json(study) if isinstance(study, Study) else study)
     zips, cases = tables.pop("zips", {}), tables.pop("cases", ())

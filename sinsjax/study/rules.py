@@ -104,7 +104,7 @@ def _check_trigger(study: Study) -> None:
             study.refuse(key, "requires a reset_trigger (give one, or drop this)")
 
 
-def _check_idle_keys(study: Study) -> None:
+def _refuse_excluded_keys(study: Study) -> None:
     """Refuse keys that have no effect with the values of keys that exclude them."""
     found = dict[str, str]()
     sections = [section for name, section in SECTIONS.items() if study.has(name)]
@@ -227,7 +227,7 @@ def _check_whole_multiple(study: Study, key: str, time: float, what: str, least:
         study.refuse(key, f"{text} ({hint})")
 
 
-def _check_statistics_window(study: Study) -> None:
+def _check_window_has_two_record_times(study: Study) -> None:
     """Refuse a window in which no run has the two record times of a standard deviation."""
     (start, end), record_every, rate = study.study.window_s, study.record_every, study.rate_hz
     longest = max(span.records for span in study.distinct_spans)
@@ -288,10 +288,10 @@ def _check_times_within_runs(study: Study) -> None:
     """Refuse times after the end of all runs that use them; others of a sweep may be shorter."""
     sections = {name for name in SECTIONS if study.has(name)}
     times = [key for key in KEYS.values() if key.info.time and key.section in sections]
-    _check_all([partial(_check_time_within_runs, study, key) for key in times])
+    _check_all([partial(_check_time_within_longest_run, study, key) for key in times])
 
 
-def _check_time_within_runs(study: Study, key: Key) -> None:
+def _check_time_within_longest_run(study: Study, key: Key) -> None:
     latest: dict[float, float] = {}  # the end of the longest run with each value
     interval_s = study.study.record_interval_s
     passes = PASS_KEYS if study.passes else ()
@@ -308,7 +308,7 @@ def _check_time_within_runs(study: Study, key: Key) -> None:
             study.refuse(key.name, f"{text} (give an earlier time, or longer runs)")
 
 
-def _check_plausible_values(study: Study) -> None:
+def _refuse_implausible_values(study: Study) -> None:
     """Refuse unusual values, except those of drawn keys, which `_check_drawn_values` checks."""
     if study.study.unchecked:
         return
@@ -389,7 +389,7 @@ def _check_tune_section(study: Study) -> None:
         raise InputError(f"[tune] searches: {text}")
 
 
-def list_idle_keys(study: Study) -> list[str]:
+def describe_idle_keys(study: Study) -> list[str]:
     """List the keys that have no effect on any run of a study, in one line if there are any.
 
     Keys at their defaults are left out, and those that a tuning may give an effect.
@@ -432,19 +432,19 @@ def _iter_varied_or_non_default_keys_and_tables(study: Study) -> Iterator[tuple[
 
 _PRESENCE = (
     _check_required_keys,
-    _check_idle_keys,
+    _refuse_excluded_keys,
     *NOISE_RULES,
     _check_trigger,
     refuse_drawn_motion,
 )
 _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
-_VALUES = (_check_plausible_values, _check_drawn_values)
+_VALUES = (_refuse_implausible_values, _check_drawn_values)
 _TIMES = (
     _check_coarse_method,
     _check_coarse_duration_and_resets,
     check_turns,
     _check_reset_law,
-    _check_statistics_window,
+    _check_window_has_two_record_times,
     _check_report_times,
     _check_dwell,
     _check_stop_when,

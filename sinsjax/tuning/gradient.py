@@ -24,7 +24,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.run import ProgressCallback, RunProgress
 from sinsjax.execution.success import require_floor
-from sinsjax.methods.filters.keys import SCHEDULE_KEYS, find_key_without_gradient
+from sinsjax.methods.filters.keys import SCHEDULE_KEYS, reset_key_without_gradient
 from sinsjax.methods.method import Site
 from sinsjax.methods.registry import METHODS
 from sinsjax.methods.schedules import smooth_resets
@@ -69,15 +69,15 @@ def descend(
     evaluations: list[Evaluation] = []
     for number in range(len(SearchSpace.from_study(study).combinations)):
         cost = evaluations[-1].cost if evaluations else 0
-        evaluations += _descend_candidate(study, stored, number, cost, on_progress)
+        evaluations += _descend_combination(study, stored, number, cost, on_progress)
     return SearchResult(GRADIENT, evaluations)
 
 
-def _descend_candidate(
+def _descend_combination(
     study: Study,
     stored: StoredRecord | None,
     number: int,
-    cost: int,
+    spent: int,
     on_progress: ProgressCallback | None,
 ) -> list[Evaluation]:
     """Return the evaluations of the descents of a combination of candidates, in order.
@@ -100,7 +100,7 @@ def _descend_candidate(
         if screened > starts:
             points = search.points_at(space, number, box)
             scored = score_with_hard_resets(study, stored, points, slope.draws)
-            box, cost = box[np.argsort(scored.scores, kind="stable")], cost + scored.costs[-1]
+            box, spent = box[np.argsort(scored.scores, kind="stable")], spent + scored.costs[-1]
         box = box[:starts]
         adam = optax.adam(optax.cosine_decay_schedule(tune.descent_rate, steps, alpha=0.1))
         state = adam.init(box)
@@ -108,10 +108,10 @@ def _descend_candidate(
             draws = (step * slope.draws + np.arange(slope.draws)) % slope.n_draws
             softness = Softness.at_step(tune, step)
             scores, gradient = slope(box, draws, softness)
-            cost += slope.cost
+            spent += slope.cost
             window_s = softness.window_s if parameters.moves_resets else None
             evaluations += [
-                Evaluation(step, *point, float(score), cost, start, window_s, softness.sharpness)
+                Evaluation(step, *point, float(score), spent, start, window_s, softness.sharpness)
                 for start, (point, score) in enumerate(
                     zip(search.points_at(space, number, box), scores, strict=True)
                 )
@@ -128,7 +128,7 @@ def _descend_candidate(
     ends = zip(points, scored.scores, strict=True)
     return evaluations + [
         Evaluation(
-            tune.descent_steps, *point, score, cost + scored.costs[-1], i if i < len(box) else None
+            tune.descent_steps, *point, score, spent + scored.costs[-1], i if i < len(box) else None
         )
         for i, (point, score) in enumerate(ends)
     ]
@@ -230,10 +230,8 @@ class _Program:
         self, parameters: "TunedParams", batch: Batch, keys: Variants, starts: int, draws: int
     ) -> None:
         study = parameters.study
-        self._tune, self._from_truth = (
-            search.require_tune(study),
-            success_criteria(study).from_truth,
-        )
+        self._tune = search.require_tune(study)
+        self._from_truth = success_criteria(study).from_truth
         self._rate_hz, self._moves_resets = study.rate_hz, parameters.moves_resets
         self._starts, self._params = starts, parameters.differentiate(batch.spec.method, keys)
         repeated = jax.tree.map(lambda a: np.concatenate([np.asarray(a)] * starts), batch.params)
@@ -281,7 +279,7 @@ class _Program:
         )
         environment = batch.environment._replace(criteria=criteria)
         return [
-            (environment, layout.tiles_of(batch, call), np.int32(layout.blocks(call)))
+            (environment, layout.tiles_of_chunk(batch, call), np.int32(layout.blocks(call)))
             for call in range(len(layout))
         ]
 
@@ -300,8 +298,9 @@ class _Program:
             method = method if lane.width is None else smooth_resets(method, lane.width)
             lanes = tile._replace(params=tile.params._replace(method=method))
             outcome, _ = run_tile(spec, environment, lanes)
-            criteria = environment.criteria
-            return objective.relaxed_values(self._tune, criteria, outcome, truth=self._from_truth)
+            return objective.relaxed_values(
+                self._tune, environment.criteria, outcome, from_truth=self._from_truth
+            )
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:
             return value_and_derivatives(partial(tile_values, tile), jnp.zeros(self._p))
@@ -373,7 +372,7 @@ class TunedParams:
         self._fixed_times = [kind.fixed for kind in times[: combination.get(COUNT, len(times))]]
         based = with_point(study, self.point)
         self.moves_resets = any(variable.key in SCHEDULE_KEYS for variable in self.variables)
-        if key := find_key_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
+        if key := reset_key_without_gradient(Variants.all_of(based), smoothed=self.moves_resets):
             _refuse(study, key)
         methods, moved = based.values("method"), np.zeros(len(self.variables), bool)
         for name in set(methods):

@@ -15,7 +15,7 @@ from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY, DamagedError
-from sinsjax.execution.prepare import check_job, issue_warnings, load_job
+from sinsjax.execution.prepare import check_and_annotate_job, issue_warnings, load_job
 from sinsjax.execution.progress import python_progress
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
@@ -90,7 +90,7 @@ def prepare_tuning(
     if job.directory is not None:
         _check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
     _read_complete_searches(job)
-    job = check_job(job, forecast.forecast_tuning(job.study))
+    job = check_and_annotate_job(job, forecast.forecast_tuning(job.study))
     if job.stored is not None and job.stored.reference is None:
         text = "tuning on a record needs a reference (give it with --reference)"
         raise InputError(f"{job.study.name}: [tune]: {text}")

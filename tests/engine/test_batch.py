@@ -75,7 +75,7 @@ def lay_out(study, tiles_per_chunk):
         draws, variants = active_lanes.draw[in_lanes], active_lanes.variant[in_lanes]
         planned = list(zip(draws.tolist(), variants.tolist(), strict=True))
         assert {layout.chunk_of(*run) for run in planned} == {number}
-        tiles = layout.tiles_of(runs, number)
+        tiles = layout.tiles_of_chunk(runs, number)
         ids = np.asarray(tiles.draws.draw_id).reshape(*places.draw.shape[:2], -1)
         draw = np.take_along_axis(ids, np.broadcast_to(tiles.row[:, None], places.draw.shape), 2)
         variant = np.sqrt(tiles.params.method.p0[-1]) / np.deg2rad(1) - 1

@@ -36,7 +36,7 @@ def tile_program(spec, by_event):
 
 def run_tiles(runs, *, by_event):
     """Return all results of the first two tiles, which go from event to event or by samples."""
-    tiles = runs.lay_out().tiles_of(runs, 0)
+    tiles = runs.lay_out().tiles_of_chunk(runs, 0)
     program = tile_program(runs.spec, by_event)
     found = [program(runs.environment, jax.tree.map(lambda a, i=i: a[i], tiles)) for i in range(2)]
     return jax.tree.leaves(found)

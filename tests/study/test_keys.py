@@ -26,7 +26,7 @@ from sinsjax.engine.scenario import Scenario
 from sinsjax.methods.registry import METHODS
 from sinsjax.study import files
 from sinsjax.study.load import fingerprint
-from sinsjax.study.rules import list_idle_keys
+from sinsjax.study.rules import describe_idle_keys
 from sinsjax.study.study import Study
 from sinsjax.units import split_unit
 
@@ -217,7 +217,7 @@ def load(tmp_path):
     def changed(tables: dict[str, Any], changes: dict[str, Any] | None = None) -> Any:
         (tmp_path / "study.toml").write_text(tomli_w.dumps(tables), encoding="utf-8")
         study = load_study(tmp_path / "study.toml", changes)
-        return study, list_idle_keys(study)
+        return study, describe_idle_keys(study)
 
     return changed
 

@@ -371,7 +371,7 @@ def any_trigger(study: StudyKeys) -> bool:
     return any(has_trigger(point["reset_trigger"]) for point in points)
 
 
-def find_key_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
+def reset_key_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | None:
     """Return the first setting of resets without a gradient, as ``[section] key``; or None.
 
     Smoothed, each reset is spread over a window.

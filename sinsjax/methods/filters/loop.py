@@ -271,7 +271,7 @@ class _ClosedLoop(NamedTuple):
                 Vec3(0.0, 0.0, here.gravity * dt),
             ),
         )
-        return triggers.update_trigger(self.trigger, params, state, snapshot, n)
+        return triggers.update_trigger_in_filter_state(self.trigger, params, state, snapshot, n)
 
     def _predict(self, params: Any, state: Any, here: Place, f_dt: Vec3) -> Any:
         if self.filter.predict is not None:

@@ -82,7 +82,7 @@ def start(trigger: Trigger, params: TriggerParams, p: Triangle) -> TriggerState:
     return TriggerState(trigger.start(p), Vec3(zero, zero, zero), counts, zero)
 
 
-def update_trigger(
+def update_trigger_in_filter_state(
     trigger: Trigger, params: Any, state: Any, snapshot: FilterSnapshot, n: Scalar
 ) -> Any:
     """Return a filter's state with the n-th sample scored; `fired` says whether P is reset."""

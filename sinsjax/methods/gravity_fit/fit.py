@@ -47,8 +47,8 @@ from sinsjax.methods.gravity_fit.noise import (
     Covariance,
     NoiseModel,
     SensorNoise,
+    block_noise_model,
     multiply_pairs,
-    noise_model,
     predict_noise,
     vertical_gyro_heading_variance,
 )
@@ -179,7 +179,7 @@ def solve(
     solution = Solution.before_data(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
     guess = _Guess(_level_attitude(first), (zero + 1, zero), *triads)
-    model = noise_model(params.noise, place.gravity, length_s)
+    model = block_noise_model(params.noise, place.gravity, length_s)
 
     def is_unfinished(carry: tuple[Count, _Guess, Solution]) -> Flag:
         number, _, solution = carry
@@ -208,10 +208,10 @@ class _Guess(NamedTuple):
         """Return the unknowns from `GYRO` on."""
         return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
-    def corrected(self, unknown: Array, is_known: Scalar) -> "_Guess":
-        """Return the guess with the changes that a pass finds; ``is_known`` is that of the pass."""
+    def corrected(self, unknown: Array, is_heading_known: Scalar) -> "_Guess":
+        """Return the guess with the changes that a pass finds; the first knows no heading."""
         real, imaginary, kx, ky, *errors = unknown
-        real, (cos, sin) = is_known + real, self.heading
+        real, (cos, sin) = is_heading_known + real, self.heading
         cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
         norm = jnp.hypot(cos, sin)
         leaves, structure = jax.tree.flatten((self.gyro, self.others))

@@ -88,11 +88,11 @@ def build(options: method.Options) -> method.Program:
         rate = add(scale(1.5, last), scale(-0.5, state.last))
         return state._replace(turn=turn, dv=dv, last=last, rate=rate, earth=earth, count=n)
 
-    def store(state: FitState, number: Count) -> FitState:
-        ends, solution = (number + 1) % records == 0, state.solution
+    def store(state: FitState, interval: Count) -> FitState:
+        ends, solution = (interval + 1) % records == 0, state.solution
         rate = scale(2 / options.dt, state.rate)
         block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
-        place = jnp.minimum(number // records, most - 1)
+        place = jnp.minimum(interval // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
         errors = block.rotations_by_gyro_errors(len(solution.gyro), length_s)
         corrected = block.turn_without(combine(errors, solution.gyro))
@@ -106,14 +106,14 @@ def build(options: method.Options) -> method.Program:
         solution = solution._replace(carried=carried)
         return state._replace(blocks=blocks, turn=turn, dv=dv, solution=solution)
 
-    def is_due(number: Count, reported: Flag) -> Flag:
-        ended, rest = (number + 1) // records, (number + 1) % records
+    def is_due(interval: Count, reported: Flag) -> Flag:
+        ended, rest = (interval + 1) // records, (interval + 1) % records
         doubled = (ended & (ended - 1) == 0) & (rest == 0)  # 4, 8, 16, ...
-        last = number + 1 == options.records
+        last = interval + 1 == options.records
         return (doubled | reported | last) & (ended >= LEAST_BLOCKS)
 
-    def fit(params: FitParams, site: method.Site, state: FitState, number: Count) -> Solution:
-        return solve(params, site.place, state.blocks, (number + 1) // records, length_s)
+    def fit(params: FitParams, site: method.Site, state: FitState, interval: Count) -> Solution:
+        return solve(params, site.place, state.blocks, (interval + 1) // records, length_s)
 
     def turn_of_n(state: FitState) -> Quat:
         """Return C_{n0}^n."""

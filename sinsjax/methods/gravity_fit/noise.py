@@ -68,7 +68,7 @@ class NoiseModel(NamedTuple):
         return {(i, k): self.states[i].variance if i == k else off for i, k in pairs}
 
 
-def noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
+def block_noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> NoiseModel:
     """Return the model of blocks of a length."""
     h, zero = length_s, jnp.zeros_like(noise.gyro)
     gh, q = gravity * h, noise.gyro**2 * h
