@@ -199,7 +199,7 @@ def check_directory(directory: Path) -> None:
         raise InputError(unwritable_message(directory, error)) from error
 
 
-def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
+def refuse_existing_results(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory with results that may not be used, or without, with other such files."""
     check_directory(directory)
     names = (*DATASETS, "figures", STUDY)

@@ -257,7 +257,7 @@ def _place_resets(
     problem: ResetProblem, early_resets: int, segments: tuple[float, ...], ratio: float, band: float
 ) -> ResetSchedule:
     """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    segments = _lengthen_last_segment_for_surge(problem, segments, ratio, band)
+    segments = _lengthen_before_last_reset_for_surge(problem, segments, ratio, band)
     early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
@@ -270,7 +270,7 @@ def _place_resets(
     return ResetSchedule(rounded, float(begin + sum(segments)), segments)
 
 
-def _lengthen_last_segment_for_surge(
+def _lengthen_before_last_reset_for_surge(
     problem: ResetProblem, segments: tuple[float, ...], ratio: float, band: float
 ) -> tuple[float, ...]:
     """Return the segments with a longer one before the last reset, if the surge requires it.
