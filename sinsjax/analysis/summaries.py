@@ -14,7 +14,7 @@ from sinsjax.analysis.estimates import (
     CLUSTER_COLUMNS,
     UNKNOWN,
     Estimate,
-    cluster_ids,
+    cluster_by_draw,
     mean,
     mean_difference,
     proportion_difference,
@@ -159,7 +159,7 @@ def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[st
         found[name] = None if one.estimate is _count_missing else UNKNOWN
         if used.num_rows and (truth or not one.needs_truth):
             values = (numeric_column(used, column) for column in one.columns)
-            found[name] = one.estimate(*values, cluster=cluster_ids(used))
+            found[name] = one.estimate(*values, cluster=cluster_by_draw(used))
     return found
 
 
@@ -272,7 +272,7 @@ def _differences(
     rows: pa.Table, base: pa.Table, statistics: Mapping[str, _Statistic]
 ) -> dict[str, Estimate]:
     """The known differences of a group from the baseline, by name."""
-    clusters, found = cluster_ids(rows), {}
+    clusters, found = cluster_by_draw(rows), {}
     is_recorded = clusters is not None and np.unique(clusters).size < rows.num_rows
     flags = [t["has_floor"] for t in (rows, base) if "has_floor" in t.column_names]
     with_floor = all(pc.all(pc.fill_null(flag, True)).as_py() for flag in flags)

@@ -96,7 +96,7 @@ def add_program(study: Study, name: str) -> Study:
         text = "a program reads a record once (--set passes={} drops the section)"
         raise InputError(f"{study.name}: [passes]: {text}")
     refuse_external(study.study.external, study.name)
-    register_external([name], _build_external)
+    register_external([name], _build_given_attitudes)
     tables = study_to_tables(study)
     tables["study"]["external"] = [name]
     axes, cases = dict(tables.get("axes", {})), list(tables.get("cases", ()))
@@ -126,7 +126,7 @@ class GivenAttitudes(NamedTuple):
     covariance: method.AttitudeCovariance  # of its misalignment; NaN if unknown
 
 
-def _build_external(options: method.Options) -> method.Program:
+def _build_given_attitudes(options: method.Options) -> method.Program:
     """Return a method that keeps its first attitude, until others are put into its state.
 
     Runs are judged from the bias floor of a method that does not estimate the biases.
@@ -171,7 +171,7 @@ def _judge(
     spec: ProgramSpec, environment: Environment, tile: Tiles, given: GivenAttitudes
 ) -> Outcome:
     runs = prepare_tile(spec, environment, tile)
-    turns = runs.sensors.housing_turns(spec.intervals)
+    turns = runs.sensors.housing_vibration_rotations(spec.intervals)
 
     def observe(run: Run, row: tuple[Intervals, GivenAttitudes]) -> tuple[Run, None]:
         interval, now = row
@@ -179,5 +179,5 @@ def _judge(
         observed = runs.observe(Run(now, run.metrics), interval, turn)
         return jax.vmap(select_tree)(now.present, observed, run), None
 
-    last, _ = jax.lax.scan(observe, runs.start(), (runs.intervals(), given))
+    last, _ = jax.lax.scan(observe, runs.start(), (runs.record_periods(), given))
     return runs.finish(last)

@@ -102,8 +102,8 @@ def score_results(
         warnings.simplefilter("ignore", StudyWarning)  # the study was exported with these
         own = run_into(source, directory / _OWN, resume=True, curves=False, on_progress=on_progress)
     judged, phi = _summary_and_end_phi(runs, attitudes)
-    readings = partial(_iter_readings, frame=frame, form=form)
-    doubts = _iter_doubts(runs, attitudes, phi, readings)
+    other_conventions = partial(_iter_readings, frame=frame, form=form)
+    doubts = _iter_doubts(runs, attitudes, phi, other_conventions)
     job = Job(
         runs.study,
         curves=False,
@@ -268,7 +268,7 @@ def _renumber(runs: ProgramRuns, own: pa.Table) -> pa.Table:
 
 
 def _iter_doubts(
-    runs: ProgramRuns, attitudes: GivenAttitudes, phi: NDArray, readings: Callable
+    runs: ProgramRuns, attitudes: GivenAttitudes, phi: NDArray, other_conventions: Callable
 ) -> Iterator[str]:
     """Yield what the file lacks, and the convention that it seems to have, by other readings."""
     last = Quat(*(part[-1] for part in attitudes.attitude))
@@ -287,7 +287,7 @@ def _iter_doubts(
         return
     last, phi = jax.tree.map(lambda a: a[ended], (last, phi))
     q_true, error, found = jax.vmap(correct)(Vec3(*phi.T), last), _median_length(phi), []
-    for words, other in readings(last):
+    for words, other in other_conventions(last):
         now = _median_length(np.stack(jax.vmap(misalignment)(q_true, other), axis=-1))
         if error > _LEAST and now <= min(_BETTER * error, max(DEG, _MUCH_BETTER * error)):
             found.append((now, words))

@@ -10,7 +10,7 @@ import typer
 def _find_study(path: Path) -> Path:
     from sinsjax.study import files
 
-    return files.find_study_file(path)
+    return files.study_file_or_given_path(path)
 
 
 def completes(list_names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:

@@ -422,18 +422,17 @@ class DuplicateVariants(NamedTuple):
         return Chunk(chunk.draw[run], variant, outcome, curves)
 
 
-def find_duplicates(spec: ProgramSpec, draws: int, kinds: np.ndarray) -> DuplicateVariants | None:
+def duplicates_to_skip(
+    spec: ProgramSpec, draws: int, run_kinds: np.ndarray
+) -> DuplicateVariants | None:
     """Return the duplicate variants of a program; None if all of them are to be computed.
 
-    Args:
-        spec: their program.
-        draws: number of its draws.
-        kinds: (variants,) a number that variants with identical runs share.
+    ``run_kinds``, (variants,), has a number that variants with identical runs share.
     """
     _, computed, kind, counts = np.unique(
-        kinds, return_index=True, return_inverse=True, return_counts=True
+        run_kinds, return_index=True, return_inverse=True, return_counts=True
     )
-    all_tiles, tiles = (Layout(spec, draws, count).tiles for count in (len(kinds), len(computed)))
+    all_tiles, tiles = (Layout(spec, draws, count).tiles for count in (len(kind), len(computed)))
     if tiles > (1 - LEAST_SAVED) * all_tiles:
         return None
     return DuplicateVariants(computed, np.argsort(kind, kind="stable"), counts)

@@ -276,11 +276,11 @@ _SAMPLES, _TIMES = 4000, 256
 
 
 @partial(jax.jit, static_argnums=(0, 2))
-def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
+def coarse_attitudes(method: str, increments: Array, dt: float, site: Site) -> Array:
     """Return coarsely aligned attitudes at the ends of parts of a record, (parts, 4).
 
-    The method needs no initial attitude and no params; the rows (parts, n, 6) are measured
-    increments over ``dt`` s, rad and m/s.
+    The method needs no initial attitude and no params; the increments (parts, n, 6) are
+    those measured over ``dt`` s, rad and m/s.
     """
     program = METHODS[method].build(Options(dt))
 
@@ -288,7 +288,7 @@ def coarse_attitudes(method: str, rows: Array, dt: float, site: Site) -> Array:
         samples = sensors.compensate_record(part, part[0])
         return jnp.stack(align_by_program(program, samples, site))
 
-    return jax.vmap(align)(rows)
+    return jax.vmap(align)(increments)
 
 
 def align_by_program(program: Program, samples: Sample, site: Site) -> Quat:

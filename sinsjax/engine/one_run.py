@@ -83,7 +83,7 @@ class OneRun:
 
     def _trace(self, params: RunParams, draw: Draw) -> Outcome:
         """Return the outcome of a tile of one lane, traced with a loop that has all derivatives."""
-        params = params._replace(method=_warn_of_zero_gradients(params.method))
+        params = params._replace(method=_with_zero_gradient_warnings(params.method))
         draws, lanes = jax.tree.map(lambda a: jnp.asarray(a)[None], (draw, params))
         spec, tile = self._batch.spec, Tiles(draws, np.zeros(1, np.int32), lanes)
         outcome, _ = run_tile(spec, self._batch.environment, tile, by_event=False)
@@ -154,7 +154,7 @@ _COUNTS: dict[type, tuple[str, str]] = {
 """Fields of schedules that count samples, and what they are in words."""
 
 
-def _warn_of_zero_gradients(method: Any) -> Any:
+def _with_zero_gradient_warnings(params: Any) -> Any:
     """Return a method's params that warn if they are differentiated by counts of samples."""
 
     def wrap(part: Any) -> Any:
@@ -163,7 +163,7 @@ def _warn_of_zero_gradients(method: Any) -> Any:
         field, what = _COUNTS[type(part)]
         return part._replace(**{field: _constant_count(what, getattr(part, field))})
 
-    return jax.tree.map(wrap, method, is_leaf=lambda part: type(part) in _COUNTS)
+    return jax.tree.map(wrap, params, is_leaf=lambda part: type(part) in _COUNTS)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -99,7 +99,7 @@ def run_tile(
     )
     start = TileState(runs.start(), runs.sensors.start())
     if spec.coarse is None:
-        (run, _), rows = jax.lax.scan(partial(advance_interval, runs), start, runs.intervals())
+        (run, _), rows = jax.lax.scan(partial(advance_interval, runs), start, runs.record_periods())
     else:
         run, rows = _coarse_then_fine(runs, start)
     if rows is None:
@@ -138,7 +138,7 @@ def _coarse_then_fine(runs: "TileRuns", start: TileState) -> tuple[Run, Array | 
 
     Fine alignment goes on where coarse alignment ends, or replays all samples from the first.
     """
-    coarse, all_ = runs.one.spec.coarse, runs.intervals()
+    coarse, all_ = runs.one.spec.coarse, runs.record_periods()
     assert coarse is not None
     first, later = (
         jax.tree.map(lambda a, part=part: a[part], all_)
@@ -285,7 +285,7 @@ class TileRuns(NamedTuple):
         """Axis of the site; None if all runs share it."""
         return None if self.sensors.draws.site is None else self.sensors.draws.run_axis
 
-    def intervals(self) -> Intervals:
+    def record_periods(self) -> Intervals:
         """Return all intervals of the runs."""
         q_true, count = None, self.one.spec.intervals
         if self.sensors.draws.motion is not None:
@@ -446,7 +446,7 @@ def prepare_tile(spec: ProgramSpec, environment: Environment, tile: Tiles) -> Ti
     record = turns = None
     if spec.kept:
         record = sensors.make_record()
-        turns = sensors.housing_turns(spec.kept // spec.interval_samples)
+        turns = sensors.housing_vibration_rotations(spec.kept // spec.interval_samples)
     return TileRuns(one, sensors, tile.row, params, to_runs(q), site, floor, record, turns)
 
 

@@ -264,7 +264,7 @@ class TileSensors(NamedTuple):
         _, rows = jax.lax.scan(over_block, start, jnp.arange(kept // block))
         return _increments_from_rows(rows.reshape(kept, *rows.shape[2:]))
 
-    def housing_turns(self, intervals: int) -> Quat | None:
+    def housing_vibration_rotations(self, intervals: int) -> Quat | None:
         """Return the rotations from the housing to the base, leaves (intervals + 1, draws).
 
         They are those at the beginning of the record and at the end of each interval; None if the

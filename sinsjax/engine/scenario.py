@@ -276,7 +276,7 @@ def read_site(study: Study, keys: Variants, stored: StoredRecord | None) -> tupl
     return jax.tree.map(np.float64, site), ug
 
 
-def _criteria(study: Study, keys: Variants) -> Criteria:
+def _bands_and_windows(study: Study, keys: Variants) -> Criteria:
     """Return the criteria by which the runs of some variants are judged."""
     settings, before = study.study, 0
     if study.counts_before:
@@ -309,7 +309,7 @@ def _base_and_sensors(keys: Variants) -> BaseAndSensors:
             gyro_quantum=_read_vector(keys.common, keys.micro_g, "gyro_quantisation_arcsec"),
             accel_quantum=_read_vector(keys.common, keys.micro_g, "accel_quantisation_um_per_s"),
         )
-    return BaseAndSensors(errors, read_motion(keys), read_disturbances(keys, keys.rate_hz))
+    return BaseAndSensors(errors, read_motion(keys), read_random_processes(keys, keys.rate_hz))
 
 
 def _simulated_inputs(
@@ -338,7 +338,7 @@ def _simulated_inputs(
         errors=errors,
         biases=mean_biases(errors, motion),
         seed=np.asarray(study.seed),
-        criteria=_criteria(study, keys),
+        criteria=_bands_and_windows(study, keys),
         pass_intervals=np.asarray(span.pass_records),
         increments=increments,
         attitudes=attitudes[None, 1:],
@@ -428,7 +428,7 @@ def _recorded_inputs(
         errors=sensors.error_free_sensors(),
         biases=NO_BIASES,
         seed=np.asarray(study.seed),
-        criteria=_criteria(study, keys),
+        criteria=_bands_and_windows(study, keys),
         pass_intervals=np.asarray(span.pass_records),
         increments=increments,
         attitudes=np.stack([reference_attitudes(stored, at) for at in times]),
@@ -545,7 +545,7 @@ def read_errors(common: Lookup, ug: float, rate_hz: float) -> SensorErrors:
     )
 
 
-def read_disturbances(keys: Variants, rate_hz: float) -> Disturbances:
+def read_random_processes(keys: Variants, rate_hz: float) -> Disturbances:
     """Return the random processes of base and sensors at some rate, Hz."""
     number, vector = partial(_read_number, keys.common), partial(_read_vector, keys.common)
     dt, ug = 1 / rate_hz, keys.micro_g
@@ -558,7 +558,7 @@ def read_disturbances(keys: Variants, rate_hz: float) -> Disturbances:
         surge = process("surge_m_per_s", processes.gauss_markov_process, surge_s)
     else:
         limited = surge_s, number("surge_bandwidth_hz")
-        surge = process("surge_m_per_s", processes.bounded_velocity_process, *limited)
+        surge = process("surge_m_per_s", processes.velocity_of_bounded_position, *limited)
     resonant = vibration, number("vibration_damping")
     drift, walk = processes.sampled_mean_of_gauss_markov, processes.sampled_mean_of_random_walk
     gyro_s, accel_s = (number(f"{sensor}_instability_time_s") for sensor in ("gyro", "accel"))

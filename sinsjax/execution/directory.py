@@ -199,7 +199,7 @@ def refuse_links(directory: Path) -> None:
         raise InputError(unwritable_message(directory, error)) from error
 
 
-def check_available(directory: Path, *, overwrite: bool, resume: bool) -> None:
+def refuse_existing_results(directory: Path, *, overwrite: bool, resume: bool) -> None:
     """Reject a directory with results that may not be used, or without, with other such files."""
     refuse_links(directory)
     names = (*DATASETS, "figures", STUDY)

@@ -26,8 +26,8 @@ from sinsjax.engine.scenario import (
     ENVIRONMENT_KEYS,
     Scenario,
     add_turns,
-    read_disturbances,
     read_errors,
+    read_random_processes,
     read_sways,
 )
 from sinsjax.errors import InputError
@@ -141,7 +141,7 @@ def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False)
         return np.abs(value) if motion.turns else 0.0
 
     def increment_errors(step: float) -> IncrementErrors:
-        coloured = coloured_errors(read_disturbances(variants, 1 / step), step)
+        coloured = coloured_errors(read_random_processes(variants, 1 / step), step)
         return coloured if still else {**coloured, **_rounding_errors(errors)}
 
     if still or (for_budget and not motion.turns):

@@ -15,7 +15,7 @@ import numpy as np
 from sinsjax.engine.scenario import Scenario, read_site, start_samples
 from sinsjax.errors import InputError, StudyWarning
 from sinsjax.execution import forecast
-from sinsjax.execution.directory import check_available
+from sinsjax.execution.directory import refuse_existing_results
 from sinsjax.execution.forecast import Forecast
 from sinsjax.execution.store import continue_job
 from sinsjax.execution.tasks import Job
@@ -68,7 +68,7 @@ def prepare_job(
     """
     job = load_job(study, overrides, record, reference, **options)
     if job.directory is not None:
-        check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        refuse_existing_results(job.directory, overwrite=job.overwrite, resume=job.resume)
         job = continue_job(job) if job.resume else job
     if job.study.tune:
         note = "[tune] is ignored: the study runs as it is (`sinsjax tune` searches)."
@@ -154,7 +154,7 @@ def make_subjob(job: Job, study: Study, name: str) -> Job:
     """Return a job for a study derived from that of a job, in a folder of its directory."""
     assert job.directory is not None
     subdirectory = job.directory / name
-    check_available(subdirectory, overwrite=job.overwrite, resume=job.resume)
+    refuse_existing_results(subdirectory, overwrite=job.overwrite, resume=job.resume)
     job = job._replace(study=study, curves=False, directory=subdirectory)
     return continue_job(job) if job.resume else job
 
@@ -239,7 +239,7 @@ def list_record_doubts(study: Study, stored: StoredRecord) -> list[str]:
     )
     if section.accel_bias_ug is not None:
         expected = expected._replace(accel_bias=section.accel_bias_ug * micro_g())
-    spans = _used_spans(study, record)
+    spans = _merged_used_spans(study, record)
     found: list[tuple[str, Finding]] = [
         (record.source, anomaly) for anomaly in report_anomalies(record.anomalies, spans)
     ]
@@ -262,7 +262,7 @@ def list_record_doubts(study: Study, stored: StoredRecord) -> list[str]:
     return doubts
 
 
-def _used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
+def _merged_used_spans(study: Study, record: Record) -> list[tuple[int, int]]:
     """Return the spans of samples that a study reads, overlapping ones merged."""
     section, rate_hz = study.record, record.rate_hz
     assert section is not None

@@ -113,14 +113,14 @@ def show_progress(
         bar.stop()
 
 
-def _plain_lines(console: Console, name: str, begin_s: float) -> ProgressCallback:
+def _plain_lines(console: Console, name: str, silent_until_s: float) -> ProgressCallback:
     """Return a callback that prints a line when due, and none before a time."""
-    last_tenth, last_s = -1, begin_s
+    last_tenth, last_s = -1, silent_until_s
 
     def print_if_due(now: RunProgress) -> None:
         nonlocal last_tenth, last_s
         tenth, clock = now.done * 10 // now.total, time.monotonic()
-        if clock >= begin_s and (tenth != last_tenth or clock >= last_s + _PLAIN_EVERY_S):
+        if clock >= silent_until_s and (tenth != last_tenth or clock >= last_s + _PLAIN_EVERY_S):
             last_tenth, last_s = tenth, clock
             state = f", {now.state}" if now.state else ""
             print_line(console, f"{name}: {now.done:,} of {now.total:,} {now.unit}{state}")

@@ -21,7 +21,7 @@ from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import issue_warnings, load_increments, prepare_job, refuse_external
 from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
 from sinsjax.execution.results import Results, read_summary
-from sinsjax.execution.store import DirectoryStore, open_store
+from sinsjax.execution.store import DirectoryStore, locked_store
 from sinsjax.execution.tables import TableBuilder
 from sinsjax.execution.tasks import (
     Executor,
@@ -74,7 +74,7 @@ def run(
         [{'case': 'condition 5 with resets', 'reset_count': 3}]
     """
     job = issue_warnings(prepare_job(study, None, record, curves=curves, chunk_runs=chunk_runs))
-    return _run_to_results(job, progress, on_progress)
+    return _run_in_memory(job, progress, on_progress)
 
 
 def align(
@@ -127,7 +127,7 @@ def align(
     """
     options = {"curves": curves, "keeps_few_curves": curves is None}
     job = issue_warnings(prepare_job(study, overrides, record, reference, **options))
-    return _run_to_results(job, progress, on_progress)
+    return _run_in_memory(job, progress, on_progress)
 
 
 def run_into(  # noqa: PLR0913
@@ -198,7 +198,7 @@ def run_job(
     executor = executor or local_executor()
     session = runtime.describe_environment() | executor.facts
     runner = TaskRunner(job)
-    with open_store(job, session) as store:
+    with locked_store(job, session) as store:
         _run_tasks(runner, store, executor, on_progress, stop or threading.Event())
 
 
@@ -225,7 +225,7 @@ class _MemorySink:
         return pa.concat_tables(content[name] for content in self._contents)
 
 
-def _run_to_results(
+def _run_in_memory(
     job: Job, progress: bool | None, on_progress: ProgressCallback | None
 ) -> Results:
     """Run a job in memory."""
@@ -247,7 +247,7 @@ def _run_tasks(
     stop: threading.Event,
 ) -> None:
     """Run the tasks that a sink lacks, stage by stage."""
-    study, stages = runner.job.study, runner.plan_tasks()
+    study, stages = runner.job.study, runner.plan_tasks_by_stage()
     missing, total = set(sink.missing_tasks(chain(*stages))), study.n_draws * study.n_variants
     done_before = done = total - sum(task.runs for task in missing)
     programs = len({task.part for task in missing}) if executor.local else 0

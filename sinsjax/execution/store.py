@@ -85,7 +85,7 @@ def _refuse_rows_of_other_versions(
 
 
 @contextmanager
-def open_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore"]:
+def locked_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore"]:
     """Lock and prepare the directory of a job, for the duration of a ``with`` block.
 
     ``session`` has manifest entries about the machines of this session.
@@ -94,7 +94,7 @@ def open_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore
     lock = places.lock_directory(job.directory)
     try:
         # Again, since the directory may have changed before it was locked.
-        places.check_available(job.directory, overwrite=job.overwrite, resume=job.resume)
+        places.refuse_existing_results(job.directory, overwrite=job.overwrite, resume=job.resume)
         if job.resume and continue_job(job) != job:
             text = "another process has just written there (run again)"
             raise InputError(f"{job.directory}: {text}")
@@ -108,7 +108,7 @@ def open_store(job: Job, session: Mapping[str, Any]) -> Iterator["DirectoryStore
 
 
 class DirectoryStore:
-    """The only writer of a results directory, see `open_store`."""
+    """The only writer of a results directory, see `locked_store`."""
 
     def __init__(self, job: Job, session: Mapping[str, Any]) -> None:
         """Continue the results in a locked directory, or begin new ones."""
@@ -198,7 +198,7 @@ def write_table(job: Job, summary: pa.Table) -> None:
     rows = (("summary", len(summary)),)
     task = Task("part-0000-000000", 0, (0, job.study.n_draws), 0, len(summary), rows)
     content = to_sealed_parquet(summary, part_metadata(job, job.identity, "summary", task))
-    with open_store(job, runtime.describe_environment()) as store:
+    with locked_store(job, runtime.describe_environment()) as store:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))
         store.finish("complete")

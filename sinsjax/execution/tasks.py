@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from sinsjax import columns
-from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, find_duplicates, map_in_threads
+from sinsjax.engine.batch import LANES, Batch, Chunks, Layout, duplicates_to_skip, map_in_threads
 from sinsjax.engine.scenario import Scenario
 from sinsjax.execution.directory import to_sealed_parquet
 from sinsjax.execution.forecast import Forecast
@@ -120,7 +120,7 @@ class TaskRunner:
         self._tiles_per_chunk = None if job.chunk_runs is None else -(-job.chunk_runs // LANES)
         first_draws = min((*job.extended_at, job.study.n_draws))  # before any extension
         self._duplicates = [
-            find_duplicates(spec, first_draws, job.study.duplicate_of[ids])
+            duplicates_to_skip(spec, first_draws, job.study.duplicate_of[ids])
             for spec, ids in zip(scenario.specs, scenario.variant_ids, strict=True)
         ]
         self._lock = threading.Lock()
@@ -137,7 +137,7 @@ class TaskRunner:
         ends = sorted({*interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
-    def plan_tasks(self) -> list[list[Task]]:
+    def plan_tasks_by_stage(self) -> list[list[Task]]:
         """Return the tasks of every stage."""
         numbers = [count() for _ in self._scenario.specs]
         return [

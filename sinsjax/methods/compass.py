@@ -285,7 +285,7 @@ def build(options: Options) -> Program:
         step=step,
         attitude=lambda state: state.nav.q,
         floor=_bias_floor,
-        passes=Passes(_reverse),
+        passes=Passes(_reverse_and_reflect_tilts),
     )
 
 
@@ -299,7 +299,7 @@ def _low_pass(low: LowPassed, value: Scalar, share: Scalar) -> LowPassed:
     return LowPassed(once, low.twice + share * (once - low.twice))
 
 
-def _reverse(params: LoopParams, site: Site, state: LoopState) -> LoopState:
+def _reverse_and_reflect_tilts(params: LoopParams, site: Site, state: LoopState) -> LoopState:
     """Return the state at the start of a pass in the other direction, [P2] section 3."""
     reversal, nav = params.reversal, state.nav
     # f = (-g phi_N + nabla_E, g phi_E + nabla_N): g times the tilts from their equilibria.

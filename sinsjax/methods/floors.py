@@ -115,22 +115,22 @@ def _add_angle(xp: Any, angle: Any) -> Any:
     return xp.stack(rows, -1).reshape(*angle.shape, 3, 3)
 
 
-def bias_floor(place: Place, biases: MeanBiases, heading: Scalar = 0.0) -> BiasFloor:
+def bias_floor(place: Place, biases: MeanBiases, extra_heading_error: Scalar = 0.0) -> BiasFloor:
     """Return the bias floor of a method that attributes the effect of the biases to the Earth.
 
     phi_E = -nabla_N/g, phi_N = nabla_E/g and, the mean rate being felt across the tilted vertical,
     phi_U = -atan2(eps_E, omega_N + eps_N) + (nabla_E/g) tan L to first order in the tilt.
 
-    ``heading`` is an additional phi_U of the method, rad; the place is that of a forward pass. The
-    drift of the heading by eps_U is not included. The slope of the tilt over T gives the heading of
-    its middle, so that a run ends at -eps_U T/2 from here, T since the start or the last reset:
-    -0.75' for 0.1 deg/h and 900 s. It depends on how much old data a method forgets.
+    ``extra_heading_error`` is a phi_U that the method adds, rad; the place is that of a forward
+    pass. The drift of the heading by eps_U is not included. The slope of the tilt over T gives the
+    heading of its middle, so that a run ends at -eps_U T/2 from here, T since the start or the last
+    reset: -0.75' for 0.1 deg/h and 900 s. It depends on how much old data a method forgets.
     """
     eps, nabla, largest_nabla = biases
     tilt = Vec3(-nabla.y / place.gravity, nabla.x / place.gravity, jnp.zeros_like(nabla.x))
     up = place.rate_u + eps.z
     east, north = eps.x - up * tilt.y, place.rate_n + eps.y + up * tilt.x
-    turn = heading - jnp.arctan2(east, north)
+    turn = extra_heading_error - jnp.arctan2(east, north)
     zero = jnp.zeros_like(turn)
     true = Quat(zero + 1, zero, zero, zero)
     phi = misalignment(true, misalign(Vec3(zero, zero, turn), misalign(tilt, true)))

@@ -270,7 +270,7 @@ class SurgeSection(Section):
 
 def surge_params(keys: StudyKeys, xp: Any) -> FilterParams:
     """Return the params of the filter with states of the surge, leaves (variants,)."""
-    own = filter_params(STATES, keys, xp, models_surge=True)
+    own = filter_params(STATES, keys, xp, has_surge_states=True)
     variance = keys.column("r_surge_m_per_s") ** 2
     time = keys.column("r_surge_time_s")
     p0 = (*(variance * time**2,) * 2, *(variance,) * 2)

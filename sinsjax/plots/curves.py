@@ -155,18 +155,18 @@ def plot_curves(
     if not lines:
         raise InputError("plot_curves: there are no curves of these runs")
     ensembles = [
-        _with_floor_and_resets(one, summary.filter(pc.field("run_id").isin(lines[one.label])))
+        _with_rms_floor_and_resets(one, summary.filter(pc.field("run_id").isin(lines[one.label])))
         for one in group_curves(table, lines)
     ]
     if not known:
-        return _draw_attitude(ensembles, title or "Attitude")
+        return _draw_estimated_attitude(ensembles, title or "Attitude")
     has_heading = any(np.isfinite(e.column("phi_u_arcmin")).any() for e in ensembles)
     if level or not has_heading:
         return _draw_rms_and_sigma(ensembles, _LEVEL, "level error", title)
     return _draw_rms_and_sigma(ensembles, _HEADING, "heading error", title)
 
 
-def _with_floor_and_resets(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
+def _with_rms_floor_and_resets(ensemble: Ensemble, rows: pa.Table) -> Ensemble:
     """Return a line with the bias floor and the reset times of its runs, if they are known."""
     floor, resets = math.nan, set()
     if "floor_arcmin" in rows.column_names:
@@ -248,7 +248,7 @@ def _draw_rms_error_and_sigma(
 
 
 @with_style
-def _draw_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
+def _draw_estimated_attitude(ensembles: Sequence[Ensemble], title: str) -> Figure:
     """Draw the mean attitude over time, a panel per angle, dashed the filter's own 1 sigma."""
     columns = [c for c in _SIGMAS if any(np.isfinite(e.column(c)).any() for e in ensembles)]
     figure = Figure(figsize=(9.2, 1.0 + 2.2 * len(columns)))

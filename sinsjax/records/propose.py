@@ -100,9 +100,9 @@ def find_triads(names: Iterable[str], sensor: str, units: Mapping[str, str]) -> 
     ]
 
 
-def _parse_name(name: str, sensor: str, stated_unit: str) -> _Name:
+def _parse_name(name: str, sensor: str, overriding_unit: str) -> _Name:
     """Return the parts of a name, whose axis is "" if it has none."""
-    unit, axis = parse_unit(stated_unit, sensor), ""
+    unit, axis = parse_unit(overriding_unit, sensor), ""
     bracket = re.search(r"[\[(]([^\[(\])]*)[\])]\s*$", name)
     if bracket and (in_bracket := parse_unit(bracket[1], sensor)):
         unit, name = unit or in_bracket, name[: bracket.start()]

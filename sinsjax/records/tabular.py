@@ -147,7 +147,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     it is nan and a flaw of the record, see `require_samples`. Errors name the row and the column.
     """
     names = [name for sensor in layout.sensors for name in sensor.columns]
-    samples = _read_samples(layout, table, names)
+    samples = _read_raw_samples(layout, table, names)
     rate_hz, t0_s, number, _ = samples.sampling
     whole = np.full((number[-1] + 1, 6), np.nan)
     whole[number] = samples.values
@@ -191,7 +191,7 @@ def record_from_table(layout: RecordLayout, table: Table) -> Record:
     )
 
 
-def _read_samples(layout: RecordLayout, table: Table, names: list[str]) -> _Samples:
+def _read_raw_samples(layout: RecordLayout, table: Table, names: list[str]) -> _Samples:
     """Return the samples of a table, without rows that have no time or repeat the one before."""
     dates = [layout.time_column] if layout.time_unit == "iso" else []
     columns = table.read([*names, *layout.time_columns], dates)

@@ -39,7 +39,7 @@ def attitude_facts(source: Results, variant: int | None) -> Iterator[Fact]:
     row = next(row for row in reversed(rows) if variant in (None, row["variant_id"]))
     yield _attitude_fact(source, row)
     if not finds_heading(source):
-        yield from _level_facts(source)
+        yield from _level_error_facts(source)
 
 
 def finds_heading(source: Results) -> bool:
@@ -76,7 +76,7 @@ def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
     return Fact("Attitude", text)
 
 
-def _level_facts(source: Results) -> Iterator[Fact]:
+def _level_error_facts(source: Results) -> Iterator[Fact]:
     """The error of pitch and roll from the truth or reference, and that there is no heading."""
     table = source.distinct_variant_rows(["draw_id", "start_s", *_LEVEL_ERRORS])
     errors = np.concatenate([analysis.numeric_column(table, name) for name in _LEVEL_ERRORS])

@@ -302,7 +302,7 @@ def ideal_sample(
     """
     middle = (k + 0.5) / rate_hz
     both = motion.vertical, motion.table
-    vertical, table = (turns and turns.in_sample(rate_hz, k) for turns in both)
+    vertical, table = (turns and turns.at_node_of_sample(rate_hz, k) for turns in both)
 
     def added_at(node: Scalar) -> tuple[AngleRates | None, ...]:
         time = (k + (0.5 + 0.5 * node)) / rate_hz

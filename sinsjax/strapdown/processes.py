@@ -100,7 +100,7 @@ def rounding_process(quantum: Numbers) -> Process:
     return process._replace(output=-process.output)
 
 
-def bounded_velocity_process(
+def velocity_of_bounded_position(
     rms: Numbers, time: Numbers, bandwidth_hz: Numbers, dt: float
 ) -> Process:
     """Return the velocity of a position that wanders within bounds, at sample times.

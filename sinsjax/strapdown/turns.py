@@ -56,7 +56,7 @@ class Turns(NamedTuple):
         turn = self._active(self.begin, t)
         return _angle_rates(turn, t - turn.begin, t - turn.begin - turn.length)
 
-    def in_sample(self, rate_hz: Scalar, k: Scalar) -> Callable[[Scalar], AngleRates]:
+    def at_node_of_sample(self, rate_hz: Scalar, k: Scalar) -> Callable[[Scalar], AngleRates]:
         """Return the angle during sample k by node, in half samples from mid-sample.
 
         Whole numbers of samples keep times within the turn exact, however late it is.

@@ -34,7 +34,7 @@ def template_files() -> dict[str, Path]:
     return {name: asset_path(f"{_FOLDER}/templates/{name}.toml") for name in TEMPLATES}
 
 
-def find_study_file(name_or_path: str | Path) -> Path:
+def study_file_or_given_path(name_or_path: str | Path) -> Path:
     """Return the file of a study; an unknown name is returned unchanged.
 
     It is a file, with or without ``.toml``, or else a shipped study, such as ``reset_sweep``,
@@ -50,7 +50,7 @@ def find_study_file(name_or_path: str | Path) -> Path:
 
 def source_name(name_or_path: str | Path) -> str:
     """Return the name of a study in messages: of a shipped study its own, else its path."""
-    path = find_study_file(name_or_path)
+    path = study_file_or_given_path(name_or_path)
     return path.stem if path.parent == asset_path(_FOLDER) else str(path)
 
 
@@ -86,7 +86,7 @@ def _read_body(path: Path) -> str:
 def read_tables(path: str | Path) -> dict[str, Any]:
     """Return the tables of a study, of a file or a shipped one, unchecked."""
     try:
-        return tomllib.loads(find_study_file(path).read_text("utf-8-sig"))
+        return tomllib.loads(study_file_or_given_path(path).read_text("utf-8-sig"))
     except OSError as error:
         missing = isinstance(error, FileNotFoundError)
         hint = suggest_closest(Path(path).stem, shipped_studies()) if missing else ""

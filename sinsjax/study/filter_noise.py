@@ -7,7 +7,7 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     ProcessNoise,
-    peak_surge_density,
+    peak_velocity_density,
 )
 from sinsjax.methods.registry import METHODS
 from sinsjax.study.keys import reading_methods
@@ -73,7 +73,7 @@ def _check_q_is_determined(noise: ProcessNoise, study: Study) -> None:
 
 def _check_r_needs_no_drawn_surge(study: Study) -> None:
     """Refuse an omitted R that would follow a surge that draws vary."""
-    drawn = [key for key in keys_of(peak_surge_density) if key in study.drawn_keys]
+    drawn = [key for key in keys_of(peak_velocity_density) if key in study.drawn_keys]
     points = study.combinations("method", "r_velocity_m_per_s")
     for point in points if drawn and study.has("filter") else ():
         sections = METHODS[point["method"]].sections

@@ -11,7 +11,7 @@ from sinsjax.methods.filters.keys import (
     ACCEL_NOISE,
     GYRO_NOISE,
     SCHEDULE_KEYS,
-    peak_surge_density,
+    peak_velocity_density,
     update_variance,
 )
 from sinsjax.methods.registry import METHODS
@@ -62,7 +62,7 @@ DERIVED = (*SCHEDULE_KEYS, *_DEFAULT_TRIGGER, _VELOCITY)
 """Keys whose values `schedule` decides."""
 
 
-def derive_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
+def expand_named_schedule(rate_hz: float, point: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `DERIVED` at a point of a study.
 
     The point has the values of `LAW_KEYS` and `DERIVED`, None for a key that does not apply. If the
@@ -135,7 +135,7 @@ def reset_problem(rate_hz: float, point: Mapping[str, Any]) -> ResetProblem:
         accel_noise=(ACCEL_NOISE.white_density(rate_hz, point) * place.ug) ** 2,
         gyro_noise=(GYRO_NOISE.white_density(rate_hz, point) * DEG_PER_H) ** 2,
         tilt_noise=GYRO_NOISE.q(rate_hz, point) * DEG_PER_H**2,
-        surge=peak_surge_density(*(point[key] for key in keys_of(peak_surge_density))),
+        surge=peak_velocity_density(*(point[key] for key in keys_of(peak_velocity_density))),
     )
 
 

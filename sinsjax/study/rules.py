@@ -90,7 +90,7 @@ def _check_required_keys(study: Study) -> None:
     _refuse_all(study, found)
 
 
-def _check_trigger(study: Study) -> None:
+def _check_trigger_and_threshold(study: Study) -> None:
     """Refuse a trigger without a threshold, and keys of triggers without a trigger."""
     keys = ("reset_trigger", "trigger_threshold")
     points = list(study.combinations(*keys)) if study.has("resets") else []
@@ -240,7 +240,7 @@ def _check_window_has_two_record_times(study: Study) -> None:
         study.refuse("window_s", f"{text} (widen it; {study.end})")
 
 
-def _check_report_times(study: Study) -> None:
+def _check_report_times_are_record_times(study: Study) -> None:
     """Refuse report times that are not record times of every run."""
     rate, before = study.rate_hz, {0}  # samples
     if study.counts_before:
@@ -434,7 +434,7 @@ _PRESENCE = (
     _check_required_keys,
     _refuse_excluded_keys,
     *NOISE_RULES,
-    _check_trigger,
+    _check_trigger_and_threshold,
     refuse_drawn_motion,
 )
 _LENGTHS = (_check_study_size, _check_intervals, _check_passes)
@@ -445,7 +445,7 @@ _TIMES = (
     check_turns,
     _check_reset_law,
     _check_window_has_two_record_times,
-    _check_report_times,
+    _check_report_times_are_record_times,
     _check_dwell,
     _check_stop_when,
     _check_rules_of_methods,

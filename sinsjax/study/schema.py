@@ -732,7 +732,7 @@ class Range(Section, Generic[End, Value]):
     candidates: Annotated[tuple[Value, ...], Field(min_length=1)] | None = field("values to try")
 
     @model_validator(mode="after")
-    def _check_kind(self) -> "Range[End, Value]":
+    def _check_bounds_fixed_or_candidates(self) -> "Range[End, Value]":
         names = ("low", "high", "fixed", "candidates")
         given = [name for name in names if getattr(self, name) is not None]
         if given not in (["low", "high"], ["fixed"], ["candidates"]):

@@ -190,7 +190,7 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
     return values
 
 
-def comparable_points(
+def add_matching_baseline(
     study: Study, baseline_study: Study, points: Mapping[str, TomlTable]
 ) -> dict[str, TomlTable]:
     """Return points and the baseline with the same keys, as cases of one study with [tune].
@@ -215,7 +215,7 @@ def _with_alternatives(keys: Iterable[str]) -> set[str]:
     return {other for key in keys for other in (key, *alternative_keys(key))}
 
 
-def remove_keys(tables: TomlTable, keys: Iterable[str]) -> TomlTable:
+def remove_tune_and_keys(tables: TomlTable, keys: Iterable[str]) -> TomlTable:
     """Return a study's tables without some keys and their alternatives, and without [tune]."""
     removed = _with_alternatives(keys)
     for condition in (c for section in SECTIONS.values() for c in section.conditions):
@@ -229,7 +229,7 @@ def remove_keys(tables: TomlTable, keys: Iterable[str]) -> TomlTable:
 
 def insert_point(tables: TomlTable, point: TomlTable) -> TomlTable:
     """Return a study's tables with the keys of a point in their sections, and without [tune]."""
-    result = remove_keys(tables, point)
+    result = remove_tune_and_keys(tables, point)
     for key, value in point.items():
         result[SECTION_OF[key]] = result.get(SECTION_OF[key], {}) | {key: value}
     return result

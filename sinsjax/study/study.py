@@ -28,7 +28,7 @@ from sinsjax.study.keys import (
     deciding_keys,
     has_effect,
 )
-from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, derive_schedule
+from sinsjax.study.reset_schedules import DERIVED, LAW_KEYS, expand_named_schedule
 from sinsjax.study.schema import (
     AlignmentSection,
     CoarseSection,
@@ -446,7 +446,7 @@ class Study(_SectionsOfMethods):
             yield dict(zip(keys, values, strict=True))
 
     def given_combinations(self, *keys: str) -> Iterator[dict[str, Any]]:
-        """Yield the combinations of values as the file gives them, before `derive_schedule`."""
+        """Yield combinations of values as the file gives them, before `expand_named_schedule`."""
         fixed = {key: self._constant(key) for key in keys if key not in self.axis_keys}
         for point in iter_points(self.dimensions, keys):
             yield fixed | point
@@ -475,7 +475,7 @@ class Study(_SectionsOfMethods):
     def _derive(self, point: dict[str, Any]) -> dict[str, Any]:
         # The rate of a recorded study is known, and its schedule final, once its record is read.
         known = dict.fromkeys((*LAW_KEYS, *DERIVED)) | point
-        return point | derive_schedule(self.study.rate_hz or 100.0, known)
+        return point | expand_named_schedule(self.study.rate_hz or 100.0, known)
 
     @cached_property
     def names_schedules(self) -> bool:

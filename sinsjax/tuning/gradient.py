@@ -217,7 +217,7 @@ class Slope:
             draws: (draws,) indices of the draws to use.
             softness: degree of relaxation.
         """
-        by_program = [program.run(box, draws, softness) for program in self._programs]
+        by_program = [program.run_each(box, draws, softness) for program in self._programs]
         runs, slopes = (np.concatenate(parts, axis=1) for parts in zip(*by_program, strict=True))
         score, by_run = map(np.asarray, objective.relaxed_score(self._tune, runs))
         return score, np.einsum("svd,svdp->sp", by_run, slopes)
@@ -247,7 +247,7 @@ class _Program:
         self._layout = Layout(batch.spec, draws, variants, tiles_per_chunk=tiles, lanes=lanes)
         self._jitted = jax.jit(self._differentiate_objective_values)
 
-    def run(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
+    def run_each(self, box: NDArray, draws: NDArray, softness: Softness) -> tuple[NDArray, NDArray]:
         """Return relaxed values (starts, variants, draws) and derivatives (..., p)."""
         arguments = self._call_arguments(box, draws, softness)
         self._jitted.lower(*arguments[0]).compile()  # otherwise every thread would compile

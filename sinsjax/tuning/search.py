@@ -197,7 +197,7 @@ def derive_study(
     those of another seed, or the other start times of a record.
     """
     tune, keys = require_tune(study), next(iter(points.values()))
-    tables = search_space.remove_keys(study_to_tables(study), list(keys))
+    tables = search_space.remove_tune_and_keys(study_to_tables(study), list(keys))
     tables["study"] = tables["study"] | {"name": name, "curves": False}
     if study.record:
         starts = study.record.start_s[1 if evaluation else 0 :: 2]

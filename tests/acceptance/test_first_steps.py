@@ -21,11 +21,11 @@ def test_study_is_found_by_name_after_local_files(sinsjax):
     path = CONFIGS / "reset_sweep.toml"
     Path("reset_sweep").mkdir()  # results are no study
     for name in ("reset_sweep", "reset_sweep.toml", "configs/reset_sweep.toml", path):
-        assert files.find_study_file(name).samefile(path)
+        assert files.study_file_or_given_path(name).samefile(path)
     with pytest.raises(package.InputError, match=r"^reset_sweeps: cannot .*mean reset_sweep\?"):
         package.load_study("reset_sweeps")
     Path("reset_sweep.toml").write_text("x = 1\n")
-    assert files.find_study_file("reset_sweep").samefile("reset_sweep.toml")
+    assert files.study_file_or_given_path("reset_sweep").samefile("reset_sweep.toml")
 
 
 def test_init_copies_study_file_with_comments(sinsjax):

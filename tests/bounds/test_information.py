@@ -31,7 +31,7 @@ WEST = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 DT = 0.25
 ACCEL, GYROS = 500 * UG * 0.05, 0.5 * DEG_PER_H * DT  # of an increment, m/s and rad
 OF_SURGE = {
-    "third order": processes.bounded_velocity_process(np.array([0.1, 0.2, 0.1]), 5.0, 0.5, DT),
+    "third order": processes.velocity_of_bounded_position(np.array([0.1, 0.2, 0.1]), 5.0, 0.5, DT),
     "gauss-markov": processes.gauss_markov_process(np.array([0.1, 0.2, 0.1]), 5.0, DT),
 }
 

@@ -238,7 +238,7 @@ def test_results_written_before_lock_are_not_lost(out, uninterrupted, tmp_path):
         options = {"directory": tmp_path / "new", "chunk_runs": chunk_runs, "resume": resume}
         late = prepare_job(study, **options)._replace(directory=out)
         session = runtime.describe_environment()
-        with pytest.raises(InputError, match=line), store.open_store(late, session):
+        with pytest.raises(InputError, match=line), store.locked_store(late, session):
             pass
     assert read_parts(out) == read_parts(uninterrupted)
 

@@ -72,7 +72,7 @@ def test_surge_velocity_acceleration_and_position_rms_at_any_rate(rate):
     Of y''' + a2 y'' + a1 y' + a0 y = white, var y'' / var y' is a1.
     """
     time, bandwidth, rms = 5.0, 1.0, 0.1
-    process = processes.bounded_velocity_process(np.full(3, rms), time, bandwidth, 1 / rate)
+    process = processes.velocity_of_bounded_position(np.full(3, rms), time, bandwidth, 1 / rate)
     assert_stationary(process)
     velocity, nearby = covariances(process)
     assert velocity == pytest.approx(rms**2)

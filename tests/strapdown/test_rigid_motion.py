@@ -59,7 +59,7 @@ def disturbances_of(case: np.ndarray) -> Disturbances:
     omega, axes = 2 * np.pi * 30.0, np.array([1.0, 0.5, 0.8])
     vibration = partial(processes.resonance_process, frequency_hz=30.0, damping=0.05, dt=DT)
     return Disturbances(
-        surge=processes.bounded_velocity_process(surge * 0.1 * axes, 5.0, 1.0, DT),
+        surge=processes.velocity_of_bounded_position(surge * 0.1 * axes, 5.0, 1.0, DT),
         shaking=vibration(shaking * 5000 * micro_g(9.8) / omega * axes),
         rocking=vibration(5 * DEG / omega * axes) if rocking else None,
     )

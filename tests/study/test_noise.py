@@ -10,7 +10,7 @@ from support.refusals import refusal_line, refusal_lines, refused
 from support.studies import BASE, small_study
 
 from sinsjax import study_from_dict
-from sinsjax.methods.filters.keys import peak_surge_density
+from sinsjax.methods.filters.keys import peak_velocity_density
 from sinsjax.methods.registry import METHODS
 from sinsjax.strapdown import processes
 from sinsjax.study.load import fingerprint, with_rate
@@ -126,13 +126,13 @@ def density(process: processes.Process, frequency_hz: float, dt: float) -> float
 
 def test_density_that_r_follows_is_the_largest_one_of_the_surge():
     """Of a Gauss-Markov surge at zero frequency, of one of third order at 1/(2 pi T) Hz."""
-    rms, time_s, dt = np.full(3, 0.3), np.asarray(5.0), 0.01
+    rms, time_s, dt, peak = np.full(3, 0.3), np.asarray(5.0), 0.01, peak_velocity_density(0.3, 5.0)
     process = processes.gauss_markov_process(rms, time_s, dt)
-    assert density(process, 0.0, dt) == pytest.approx(peak_surge_density(0.3, 5.0), rel=1e-3)
-    process = processes.bounded_velocity_process(rms, time_s, np.asarray(1.0), dt)
+    assert density(process, 0.0, dt) == pytest.approx(peak, rel=1e-3)
+    process = processes.velocity_of_bounded_position(rms, time_s, np.asarray(1.0), dt)
     b = 2 * np.pi * 1.0 * 5.0
     largest = density(process, 1 / (2 * np.pi * 5.0), dt)
-    assert largest == pytest.approx(peak_surge_density(0.3, 5.0) * (1 + b / (1 + b * b)), rel=0.01)
+    assert largest == pytest.approx(peak * (1 + b / (1 + b * b)), rel=0.01)
     assert density(process, 1e-4, dt) < 0.01 * largest
 
 

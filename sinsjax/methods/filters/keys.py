@@ -163,7 +163,7 @@ def level_surge(surge: Any) -> float:
     return max(abs(float(value)) for value in axes)
 
 
-def peak_surge_density(surge_m_per_s: Any, surge_time_s: float | None) -> float:
+def peak_velocity_density(surge_m_per_s: Any, surge_time_s: float | None) -> float:
     """Return the largest spectral density of the surge velocity, two-sided, m^2/s.
 
     2 s^2 T: that of a first-order Gauss-Markov velocity at zero frequency, and of a 'third_order'
@@ -190,7 +190,7 @@ def update_variance(
     sigma = _DEFAULT_R if r_velocity_m_per_s is None else r_velocity_m_per_s
     variance = sigma * sigma / (dt if r_reading == "psd" else 1.0)
     if r_velocity_m_per_s is None:
-        variance += peak_surge_density(surge_m_per_s, surge_time_s) / dt
+        variance += peak_velocity_density(surge_m_per_s, surge_time_s) / dt
     return variance * (1.0 if r_scale is None else r_scale)
 
 

@@ -307,7 +307,7 @@ class _ClosedLoop(NamedTuple):
         state = self.filter.reverse([kind.sign for kind in self.states], state)
         p = schedules.reset_covariance(params.reversal, state.belief.p, params.p0, self.heading)
         state = state._replace(belief=state.belief._replace(p=p))
-        return triggers.restart_for_pass(self.trigger, state, self.filter.misalignment(state))
+        return triggers.clear_memory_for_pass(self.trigger, state, self.filter.misalignment(state))
 
     def results(self, site: Site, state: Any) -> FilterResults:
         counts = None if self.trigger is None else state.trigger_state.trigger_counts
@@ -356,7 +356,7 @@ def filter_method(
 
 
 def filter_params(
-    states: Sequence[StateKind], keys: StudyKeys, xp: Any, *, models_surge: bool = False
+    states: Sequence[StateKind], keys: StudyKeys, xp: Any, *, has_surge_states: bool = False
 ) -> FilterParams:
     """Return the params of a filter with states of these kinds, leaves (variants,).
 
@@ -373,7 +373,7 @@ def filter_params(
     p0, after = variances("p0"), variances("reset")
     q_scale = keys.compute(lambda scale: 1.0 if scale is None else scale, "q_scale")
     q = {noise: _step_variance(keys, noise) * q_scale for noise in (ACCEL_NOISE, GYRO_NOISE)}
-    reads_surge = keys.has("motion") and not models_surge
+    reads_surge = keys.has("motion") and not has_surge_states
     of_r = keys_of(filter_keys.update_variance)[: None if reads_surge else 3]
     return FilterParams(
         p0=tuple(p0),

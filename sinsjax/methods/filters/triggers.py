@@ -122,20 +122,20 @@ def add_feedback_or_restart(
     return state._replace(trigger_state=after)
 
 
-def restart_for_pass(trigger: Trigger | None, state: Any, misalignment: Vec3) -> Any:
+def clear_memory_for_pass(trigger: Trigger | None, filter_state: Any, misalignment: Vec3) -> Any:
     """Return a filter's first state of a pass, with the memory of its trigger, if any, cleared.
 
     The counts of resets continue. What is estimated and not yet fed back, the misalignment in rad,
     is no correction of this pass.
     """
     if trigger is None:
-        return state
-    before = state.trigger_state
+        return filter_state
+    before = filter_state.trigger_state
     after = before._replace(
-        memory=trigger.start(state.belief.p),
+        memory=trigger.start(filter_state.belief.p),
         fed_back=Vec3(*(-angle for angle in misalignment)),
     )
-    return state._replace(trigger_state=after)
+    return filter_state._replace(trigger_state=after)
 
 
 # Innovations over a window

@@ -48,8 +48,8 @@ from sinsjax.methods.gravity_fit.noise import (
     NoiseModel,
     SensorNoise,
     block_noise_model,
+    kalman_predictor_step,
     multiply_pairs,
-    predict_noise,
     vertical_gyro_heading_variance,
 )
 from sinsjax.methods.method import UNKNOWN_ANGLE, AttitudeCovariance
@@ -336,7 +336,7 @@ class _GaussNewtonPass(NamedTuple):
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
         about_up = rotations.rotate(sums.body, block.angle).z
-        step, gain, s, variance = predict_noise(self.noise, sums.variance, about_up)
+        step, gain, s, variance = kalman_predictor_step(self.noise, sums.variance, about_up)
         residual = jnp.stack([jnp.stack(row) for row in x])
         if lever:  # its velocity at the first sample is unknown
             residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)

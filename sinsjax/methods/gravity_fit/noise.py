@@ -88,7 +88,7 @@ def block_noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> N
     return NoiseModel(tuple(states), measured)
 
 
-def predict_noise(
+def kalman_predictor_step(
     noise: NoiseModel, variance: Covariance, turned: Scalar
 ) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
     """Return transition, gain, innovation variance and the covariance of the noise after a block.
