@@ -40,7 +40,7 @@ def rows(quick: bool, repeats: int) -> list[Row]:
     if quick:
         groups = {name: shorten_runs(group, 7) for name, group in groups.items()}
     silent = {name: remove_noise(group) for name, group in groups.items()}
-    alone = {name: group for name, group in silent.items() if group.sizes[1] == 1}
+    alone = {name: group for name, group in silent.items() if group.n_variants == 1}
     alone = {"kalman_alone": select_last_variants(silent["kalman"], 1), **alone}
     measured = []
     for side in ({k: v for k, v in silent.items() if k not in alone}, alone):
