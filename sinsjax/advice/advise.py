@@ -40,6 +40,7 @@ SOURCES = {
     "gyro_quantisation": Source("gyro quantisation", "gyro_quantisation_arcsec"),
     "accel_quantisation": Source("accelerometer quantisation", "accel_quantisation_um_per_s"),
     "surge": Source("surge of the base", "surge_m_per_s"),
+    "lever_arm": Source("lever arm", "lever_arm_m"),
     "shaking": Source("vibration", "vibration_ug_rms"),
     "gyro_scale": Source("gyro scale factor", "gyro_scale_ppm"),
     "gyro_misalignment": Source("gyro axis misalignment", "gyro_misalignment_arcsec"),
@@ -362,10 +363,10 @@ def advise(
     choice, budget, sigmas = _expected_sigmas(given, problem, times_s)
     errors = np.transpose([*map(wrapped_rms_and_q95, sigmas)]) / ARCMIN
     headings = tuple(map(Heading, times_s, *errors.tolist()))
-    sigma, (bound,) = float(sigmas[times_s.index(asked_s)]), heading_bound([asked_s], problem)
-    turns = None
-    if not given.is_turned:
-        turns = compare_turns(problem, asked_s, _LEFT_OUT[choice.method])
+    known = replace(problem, lever_arms=np.zeros((0, 3)))
+    sigma, (bound,) = float(sigmas[times_s.index(asked_s)]), heading_bound([asked_s], known)
+    left_out = _LEFT_OUT[choice.method]
+    turns = None if given.is_turned else compare_turns(problem, asked_s, left_out)
     return Advice(given, choice, budget, headings, sigma, float(bound / ARCMIN), turns)
 
 

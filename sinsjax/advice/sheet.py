@@ -1,7 +1,7 @@
 """The sheet of an IMU: a study without an alignment, read, checked and completed."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +73,12 @@ class Sheet:
     Attributes:
         tables: of a study, without a method; constant errors are drawn.
         asked: what is asked.
+        replaced: name of the motion that replaces the sheet's own, if any.
     """
 
     tables: TomlTable
     asked: AdviseSection
+    replaced: str = ""
 
     @property
     def name(self) -> str:
@@ -111,7 +113,7 @@ class Sheet:
         keys = "gyro_bias_deg_per_h", "gyro_instability_deg_per_h", "gyro_arw_deg_per_sqrt_h"
         bias, drift, walk = map(self.sigma, keys)
         scale, name = (drift, "instability") if drift else (bias, "bias")
-        lines = []
+        lines = [f"{self.replaced} motion replaces [motion] of the sheet"] * bool(self.replaced)
         if missing := [key for key in CONSTANT_KEYS[:2] if not self.sigma(key)]:
             lines.append(
                 f"no turn-on bias ({' and '.join(missing)} in [drawn]): the heading is that of"
@@ -173,11 +175,11 @@ def read_sheet(
     options = {"earth.latitude_deg": latitude_deg, "advise.time_s": time_s}
     given = {key: value for key, value in options.items() if value is not None}
     try:
-        if motion is not None:
-            data |= {"motion": MOTIONS[motion]}
+        replaced = motion if motion and data.get("motion") else ""
+        data |= {"motion": MOTIONS[motion]} if motion else {}
         data = apply_changes(apply_changes(data, given), changes or {})
         _check_sections_and_units(data)
-        return _validate_and_fill(name, data)
+        return replace(_validate_and_fill(name, data), replaced=replaced)
     except InputError as error:
         if error.lines[0].startswith(f"{name}: "):
             raise

@@ -34,6 +34,7 @@ CONSTANT_SOURCES = {
     **{"gyro_bias": range(3), "accel_bias": range(3, 6)},
     **{"gyro_scale": range(6, 15, 4), "gyro_misalignment": [6 + k for k in _CROSS]},
     **{"accel_scale": range(15, 24, 4), "accel_misalignment": [15 + k for k in _CROSS]},
+    "lever_arm": range(24, 27),
 }
 """Places of each source of constant errors among `HeadingProblem.constant_sigmas`."""
 
@@ -72,9 +73,11 @@ def heading_variances(
     prior[3:n, 3:n] = processes.begin[in_model].sum(axis=0)
     prior[n:, n:] = np.diag(np.square(sigmas[constant]))
     measured = np.concatenate([[True, True], states])
+    # A method with a lever arm as an unknown does not know its velocity before the first step.
+    ignored = int(len(problem.lever_arms) > 0 and "lever_arm" not in left_out)
     p = prior[np.ix_(states, states)]
     steps = []
-    for one in iter_steps(grid, problem, processes):
+    for number, one in enumerate(iter_steps(grid, problem, processes)):
         f = np.eye(len(states) + 2, len(states), -2)
         f[: n + 2, :n] = one.transition
         f[:5, n:] = one.constant[:, constant]
@@ -82,7 +85,7 @@ def heading_variances(
         p = own @ p @ own.T
         noise = one.noise(in_model)
         p += np.pad(noise, (0, len(constant)))[np.ix_(measured, measured)]
-        root = inverse_root(p[LEVEL, LEVEL])
+        root = inverse_root(p[LEVEL, LEVEL]) * (number >= ignored)
         half = p[2:, LEVEL] @ root.T
         p = p[2:, 2:] - half @ half.T
         gain = np.zeros((len(states), 2))
@@ -101,7 +104,7 @@ def heading_variances(
         coloured += np.square(driven).sum(axis=1)
         w = f.T @ v
     coloured += (w[3:n] * (processes.begin @ w[3:n])).sum(axis=1)
-    errors = np.zeros((len(sigmas), len(times_s)))
+    errors = np.zeros((27, len(times_s)))
     errors[constant] = np.square(sigmas[constant, None] * w[n:])
     names = (*NOISE_SOURCES, *increment_errors)
     variances = dict(zip(names, (*white, *coloured), strict=True))

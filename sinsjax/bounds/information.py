@@ -22,9 +22,9 @@ gyros transform to n. To first order in the misalignment phi,
 
 with the attitude C = C_b^n and the angular rate w = w_ib^b of the true motion, and the velocity v
 of a surging base: a process x' = A x + b w whose changes all enter u. Linear vibration and drifts
-of the sensors enter likewise. Angular vibration is left out: the gyros measure it, and what it adds
-to the velocity at the end of a lever arm averages out. The computed velocity u is known, and with
-it the Coriolis terms.
+of the sensors enter likewise, and so does C (w_nb x l) of a lever arm l, a constant error in b.
+Angular vibration is left out: the gyros measure it, and what it adds to the velocity at the end of
+a lever arm averages out. The computed velocity u is known, and with it the Coriolis terms.
 
 The unknowns theta are phi(0), without a prior, and the constant errors, normal with mean zero and
 known sigmas. So u is d theta + e with known rows d and a Gaussian e of known covariance C_e, and no
@@ -60,7 +60,7 @@ centre.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
@@ -156,6 +156,8 @@ class HeadingProblem:
             floor. Each sample is a step then.
         longest_step_s: longest step, s, unless a sample is longer.
         nodes: points per step at which the motion is read.
+        lever_arms: (arms, 3) from the centre of the motion to the sensors, in b, m, each times an
+            unknown number of variance 1; times i, its velocity is turned a quarter to the left.
     """
 
     motion: Callable[[np.ndarray], BaseMotion]
@@ -166,6 +168,7 @@ class HeadingProblem:
     still: bool = False
     longest_step_s: float = LONGEST_STEP_S
     nodes: int = MOTION_NODES
+    lever_arms: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         """Refuse an error of the sensors that would be left out."""
@@ -176,10 +179,11 @@ class HeadingProblem:
 
     @property
     def constant_sigmas(self) -> np.ndarray:
-        """Standard deviations of the constant errors, (24,), matrices row by row."""
+        """Standard deviations of the constant errors, (24 + arms,), matrices row by row."""
         errors = self.errors
         constant = errors.gyro_bias, errors.accel_bias, errors.gyro_matrix, errors.accel_matrix
-        return np.concatenate([np.ravel(part) for part in constant])
+        arms = np.ones(len(self.lever_arms))
+        return np.concatenate([np.ravel(part) for part in (*constant, arms)])
 
 
 def coloured_errors(disturbances: Disturbances, step: float) -> dict[str, IncrementError]:
@@ -345,7 +349,7 @@ class Steps(NamedTuple):
 
     Attributes:
         transition: (steps, n, n - 2) F, without the columns of u, which is known.
-        constant: (steps, 5, 24) G of the constant errors, see `HeadingProblem.constant_sigmas`.
+        constant: (steps, 5, 24 + arms) G of `HeadingProblem.constant_sigmas`.
         white: (steps, sources, 5, 5) covariance of the noise of each of `NOISE_SOURCES`.
         driven: (steps, n, sources, 3) factors of the noise of each process.
     """
@@ -401,7 +405,9 @@ def _integrate_steps(
         return out
 
     c_w, c_f = (np.einsum("kmai,kmj->kmaij", c, x).reshape(*c.shape[:3], 9) for x in (w, f))
-    parts = effect(GYRO, c), effect(ACCEL, c), effect(GYRO, c_w), effect(ACCEL, c_f)
+    parts = [effect(GYRO, c), effect(ACCEL, c), effect(GYRO, c_w), effect(ACCEL, c_f)]
+    if len(problem.lever_arms):
+        parts.append(_swing_lever_arms(problem, np.append(numbers, numbers[-1] + 1) * step))
     constant = np.concatenate(parts, axis=2)
 
     n = 5 + len(processes.transition)
@@ -428,3 +434,15 @@ def _integrate_steps(
         driven[:, :5, source] = of_axes * process.direct
         driven[:, 5:, source] = processes.drive[source]
     return Steps(transition, constant, white, driven)
+
+
+def _swing_lever_arms(problem: HeadingProblem, times_s: np.ndarray) -> np.ndarray:
+    """Return what each lever arm adds to u and phi between times, (n - 1, 5, arms).
+
+    The sensors have the velocity w_nb x l, whose changes enter u.
+    """
+    c, w = problem.motion(times_s)
+    rate = w - np.array([0.0, problem.place.rate_n, problem.place.rate_u]) @ c
+    east, north, _ = np.einsum("kij,kaj->ika", c, np.cross(rate[:, None], np.eye(3)))
+    change = np.diff((east + 1j * north) @ problem.lever_arms.T, axis=0)
+    return np.pad(np.stack([change.real, change.imag], axis=1), ((0, 0), (0, 3), (0, 0)))

@@ -15,12 +15,12 @@ from sinsjax.bounds.information import (
     HeadingProblem,
     IncrementErrors,
     coloured_errors,
+    parked,
 )
 from sinsjax.errors import InputError
 from sinsjax.messages import format_facts
 from sinsjax.strapdown import earth, processes
 from sinsjax.strapdown.disturbances import Disturbances
-from sinsjax.strapdown.earth import Place
 from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.units import ARCMIN, ARCSEC, DEG, DEG_PER_H, DEG_PER_SQRT_H, PPM, micro_g
 
@@ -175,7 +175,7 @@ def plan_turns(  # noqa: PLR0913
         gyro_matrix=matrix,
         accel_matrix=np.zeros((3, 3)),
     )
-    level = partial(_turning_level_base, {}, place, duration_s)
+    level = partial(parked, np.eye(3), place)
     return compare_turns(HeadingProblem(level, place, dt, errors, instability_errors), duration_s)
 
 
@@ -185,13 +185,13 @@ def compare_turns(
     """Return the heading errors of a base that is turned in usual ways, from its own motion on.
 
     Args:
-        problem: sensors and base; the turns are those of a level base.
+        problem: sensors and base, which is turned about the vertical in addition to its motion.
         duration_s: length of the data, s.
         left_out: sources of errors without unknowns, see `bounds.estimator`.
     """
     options = []
     for name, motion in _iter_turn_options(duration_s):
-        turning = partial(_turning_level_base, motion, problem.place, duration_s)
+        turning = partial(_turn_base, problem, motion, duration_s)
         base = replace(problem, motion=turning) if motion else problem
         variances = heading_variances([duration_s], base, left_out)
         sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
@@ -250,15 +250,14 @@ def _turn_keys(times_s: list[float], angles_deg: list[float], rate: float) -> di
     }
 
 
-def _turning_level_base(
-    motion: dict[str, Any], place: Place, end_s: float, times_s: np.ndarray
+def _turn_base(
+    problem: HeadingProblem, motion: dict[str, Any], end_s: float, times_s: np.ndarray
 ) -> BaseMotion:
-    """Return the motion of a level base that turns, from keys of [motion]."""
+    """Return the motion of a base that turns as well, by keys of [motion]."""
     angle, speed = np.zeros_like(times_s), np.zeros_like(times_s)
-    rate, ramp = motion.get("turn_rate_deg_per_s", 0.0), _RAMP_S
+    rate, ramp = motion["turn_rate_deg_per_s"], _RAMP_S
     for again in np.arange(0.0, end_s, motion.get("turn_repeat_s", end_s)):
-        turns = zip(motion.get("turn_times_s", ()), motion.get("turn_angles_deg", ()), strict=True)
-        for begin, whole in turns:
+        for begin, whole in zip(motion["turn_times_s"], motion["turn_angles_deg"], strict=True):
             for sign, start in ((1, begin + again), (-1, begin + again + abs(whole) / rate)):
                 x = np.clip((times_s - start) / ramp, 0, 1)
                 factor = sign * math.copysign(rate, whole) * DEG
@@ -266,6 +265,8 @@ def _turning_level_base(
                 angle += factor * path
                 speed += factor * x**3 * (10 - 15 * x + 6 * x * x)
     sin, cos, zero, one = np.sin(angle), np.cos(angle), 0 * angle, 1 + 0 * angle
-    attitude = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1)
-    w = np.stack([place.rate_n * sin, place.rate_n * cos, place.rate_u + speed], -1)
-    return BaseMotion(attitude.reshape(-1, 3, 3), w)
+    turn = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], -1).reshape(-1, 3, 3)
+    attitude, w = problem.motion(times_s)
+    turned, earth = turn @ attitude, np.array([0.0, problem.place.rate_n, problem.place.rate_u])
+    about_up = speed[:, None] * attitude[:, 2]
+    return BaseMotion(turned, w + about_up + earth @ turned - earth @ attitude)

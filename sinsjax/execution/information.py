@@ -1,5 +1,6 @@
 """Lower bound of the heading error of any method on the data of a study, in memory."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,14 +26,15 @@ from sinsjax.bounds.information import (
 from sinsjax.engine.scenario import (
     ENVIRONMENT_KEYS,
     Scenario,
-    add_turns,
     read_errors,
+    read_motion,
     read_random_processes,
-    read_sways,
 )
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import matrix
+from sinsjax.methods.filters.keys import level_surge
 from sinsjax.methods.floors import mean_attitude
+from sinsjax.methods.gravity_fit.method import BLOCK_S
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion, attitude, rate_and_force
 from sinsjax.strapdown.earth import Place
@@ -109,13 +111,19 @@ def information_bound(study: Study | str | Path) -> pa.Table:
 
 
 def budget_problem(study: Study) -> HeadingProblem:
-    """Return the problem of a study of one variant, whose heading is judged from the true one.
-
-    Of the motion only turns are taken: sways do not matter to the bound.
-    """
+    """Return the problem of a study of one variant, whose heading is judged from the true one."""
     runtime.ensure_configured()
     _check_bound_applies(study)
-    return _heading_problem(Scenario(study), 0, for_budget=True)
+    problem = _heading_problem(Scenario(study), 0, for_budget=True)
+    (given,), (surge,) = study.values("lever_arm_m"), study.values("surge_m_per_s")
+    if not (arm := np.broadcast_to(given, 3)).any():
+        return problem
+    if level_surge(surge):  # `kalman_surge` does not know the arm; the mean over all headings
+        return replace(problem, lever_arms=np.outer([1, 1j], arm) / np.sqrt(2))
+    # It is an unknown of `gravity_fit`, whose blocks are the steps.
+    level = np.hypot(arm[0], arm[1]) / np.sqrt(2)
+    arms = np.diag([level, level, arm[2]])
+    return replace(problem, lever_arms=arms, longest_step_s=BLOCK_S)
 
 
 def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False) -> HeadingProblem:
@@ -126,8 +134,7 @@ def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False)
     if not np.all(errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants, dt = scenario.keys(part), 1 / study.rate_hz
-    sways = read_sways(variants.common)
-    motion = add_turns(_still(sways) if for_budget else sways, variants)
+    motion = read_motion(variants)._replace(lever=None)
     draws_errors = any(key in _CONSTANT_KEYS for key in study.drawn_keys)
     still = not (for_budget or motion.turns or draws_errors)
     laws = {} if study.drawn is None else study.drawn.laws
@@ -144,14 +151,15 @@ def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False)
         coloured = coloured_errors(read_random_processes(variants, 1 / step), step)
         return coloured if still else {**coloured, **_rounding_errors(errors)}
 
-    if still or (for_budget and not motion.turns):
-        moving = partial(parked, np.asarray(mean_attitude(_still(motion))), place)
+    periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]
+    if still or not (periods or motion.turns):
+        pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
+        moving = partial(parked, np.asarray(mean_attitude(Motion(pitch, roll, yaw))), place)
     else:
         moving = partial(_base_motion, motion, place)
     moves = (environment.disturbances.surge, environment.disturbances.shaking)
     by_samples = not for_budget and any(process is not None for process in moves)
     longest_step = dt if by_samples else LONGEST_STEP_S
-    periods = [float(sway.period) for sway in motion.angles if np.any(sway.amplitude)]
     per_period = max((longest_step / period for period in periods), default=0.0)
     return HeadingProblem(
         moving,
@@ -163,12 +171,6 @@ def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False)
         longest_step_s=longest_step,
         nodes=int(np.ceil(MOTION_NODES * max(1.0, per_period))),
     )
-
-
-def _still(motion: Motion) -> Motion:
-    """Return the mean angles of a motion, without sways."""
-    pitch, roll, yaw = (s._replace(amplitude=0.0 * s.amplitude) for s in motion.angles)
-    return Motion(pitch, roll, yaw)
 
 
 def _rounding_errors(errors: SensorErrors) -> IncrementErrors:

@@ -105,13 +105,22 @@ def test_numbers_as_json_are_those_of_the_advice():
         assert one.time_s > 300 or (one.within_95_arcmin <= 60) == (one.time_s >= time_s)
 
 
-def test_turned_sheet_is_advised_as_it_turns():
-    motion = {"turn_times_s": [140.5], "turn_angles_deg": [180.0], "turn_rate_deg_per_s": 10.0}
-    turned = sinsjax.advise(FOG | {"motion": motion | {"turn_ramp_s": 1.0}})
+@pytest.mark.parametrize("motion", [{}, MOTIONS["rocking"] | {"lever_arm_m": [3.0, 0.0, 2.0]}])
+def test_turned_sheet_is_advised_as_it_turns(motion):
+    parked = sinsjax.advise(FOG | {"motion": motion})
+    (half,) = (one for one in parked.turns.options if one.name == "half turn")
+    turned = sinsjax.advise(FOG | {"motion": motion | half.motion})
     assert turned.turns is None and turned.headings[-1].time_s == 300
-    (half,) = (one for one in advise().turns.options if one.name == "half turn")
-    assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=0.02)
+    assert turned.heading.rms_arcmin == pytest.approx(half.sigma_arcmin, rel=1e-4)
     assert "the sheet turns the base" in "\n".join(describe_advice(turned))
+
+
+def test_yaw_sway_shows_drift_of_accelerometers():
+    drifting = STEADY | {"sensors.accel_instability_ug": 300.0}
+    swaying = {"motion.yaw_amplitude_deg": 5.0, "motion.yaw_period_s": 10.0}
+    cases = STEADY, drifting | swaying, drifting
+    steady, found, parked = (advise(changes).heading.rms_arcmin for changes in cases)
+    assert 1.2 * steady < found < 0.6 * parked
 
 
 GOES_WRONG = {
@@ -139,6 +148,12 @@ def test_what_can_go_wrong_is_a_warning(words):
 )
 def test_values_that_do_not_fit_are_doubts(changes, words):
     assert any(words in line for line in read(changes).doubts)
+
+
+def test_motion_of_sheet_that_is_replaced_is_a_doubt():
+    given = read_sheet(FOG | {"motion": MOTIONS["rocking"]}, motion="still")
+    assert ["still motion replaces [motion] of the sheet"] == [*given.doubts]
+    assert read(motion="rocking").doubts == ()
 
 
 @refused("""

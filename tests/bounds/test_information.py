@@ -221,18 +221,21 @@ def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
     kept, eye, root = np.exp(-fine / drift[1]), np.eye(3), np.sqrt(problem.dt * fine)
     gyro, accel = np.diag(errors.gyro_noise) / root, np.diag(errors.accel_noise) / root
     # Columns of x: phi(0), then normal numbers of variance 1: for the constant errors, for the
-    # noise of each fine step and axis, and for the drifts.
+    # noise of each fine step and axis, for the drifts and the lever arm.
     at_noise, at_drift = 27, 27 + 6 * count
-    x = np.zeros((5, at_drift + 3 * (count + 1)))
+    x = np.zeros((5, at_drift + 3 * (count + 1) + 3))
     x[2:, :3], drifting = eye, np.zeros((3, x.shape[1]))
     drifting[:, at_drift : at_drift + 3] = drift[0] * eye
-    rows = []
+    rows, arm = [], np.zeros(3)
+    arm[: len(problem.lever_arms)] = np.diag(problem.lever_arms)
+    c_0, w_0 = (a[0] for a in problem.motion(np.zeros(1)))
+    start = np.cross(c_0 @ w_0 - earth_rate(problem.place), c_0.T).T @ np.diag(arm)
     for k in range(count):
         rate, force = drifting.copy(), np.zeros_like(drifting)
         rate[:, 3:27] += np.hstack([eye, 0 * eye, np.kron(eye, w[k]), np.zeros((3, 9))])
         force[:, 3:27] += np.hstack([0 * eye, eye, np.zeros((3, 9)), np.kron(eye, f[k])])
         for error in (rate, force):
-            error[:, 3:27] *= problem.constant_sigmas
+            error[:, 3:27] *= problem.constant_sigmas[:24]
         own = at_noise + 6 * k
         rate[:, own : own + 3], force[:, own + 3 : own + 6] = gyro, accel
         tilt = turn @ x[2:] - c[k] @ rate
@@ -243,6 +246,9 @@ def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
         drifting *= kept
         drifting[:, own : own + 3] = drift[0] * np.sqrt(1 - kept**2) * eye
         if (k + 1) % every == 0:
+            c_end, w_end = (a[0] for a in problem.motion(np.array([fine * (k + 1)])))
+            rate = c_end @ w_end - earth_rate(problem.place)
+            x[:2, -3:] = (np.cross(rate, c_end.T).T @ np.diag(arm) - start)[:2]
             rows.append(x[:2].copy())
     data, sought = np.concatenate(rows), x[4]
     d, e = data[:, :3], data[:, 3:]
@@ -253,8 +259,9 @@ def dense_sigma(end, problem, drift, step=0.5, fine=0.05):
 
 
 @pytest.mark.parametrize("drift", [None, (0.5 * DEG_PER_H, 8.0)])
+@pytest.mark.parametrize("arm", [(), (0.1, 2.0, 3.0)])
 @pytest.mark.parametrize("sway", [(), ((2.0, 3.0, 0.3), (3.0, 4.0, 1.0))], ids=["level", "sways"])
-def test_bound_matches_dense_least_squares(sway, drift):
+def test_bound_matches_dense_least_squares(sway, arm, drift):
     """With axes that differ, turns of 10 deg a step, and an Earth that turns 5 deg."""
     grade = sensors((3.0, 0.02, 500.0, 50.0), 300.0, 1.0)
     errors = grade._replace(
@@ -265,7 +272,7 @@ def test_bound_matches_dense_least_squares(sway, drift):
     rms, time_s = drift or (0.0, 1.0)
     fast = PLACE._replace(rate_n=60 * PLACE.rate_n, rate_u=60 * PLACE.rate_u)
     moving = motion([(3.0, 170.0)], 20.0, sway, place=fast)
-    problem = HeadingProblem(moving, fast, 0.01, errors)
+    problem = HeadingProblem(moving, fast, 0.01, errors, lever_arms=np.diag(arm))
 
     def drifts(step):
         drift = processes.sampled_mean_of_gauss_markov(rms * AXES, time_s, step)
