@@ -21,7 +21,6 @@ from sinsjax.advice.advise import (
 )
 from sinsjax.advice.sheet import MOTIONS, read_sheet, shipped_sheets
 from sinsjax.errors import InputError
-from sinsjax.strapdown.processes import rounding_process
 
 FOG = {
     "earth": {"latitude_deg": 48.0},
@@ -274,15 +273,3 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     angle = np.abs(np.arctan2(y, x))
     expected = np.sqrt(np.mean(angle**2)), np.quantile(angle, 0.95)
     assert wrapped_rms_and_q95(sigma) == pytest.approx(expected, rel=0.01)
-
-
-def test_rounding_process_is_what_rounding_leaves():
-    rng, process = np.random.default_rng(2), rounding_process(np.array([2.0] * 3))
-    total = np.cumsum(rng.normal(0, 50.0, 200_000))
-    error = np.diff(2.0 * np.round(total / 2.0) - total)
-    x = rng.standard_normal(200_001)  # y = c x + d w, and x becomes w
-    made = process.scale[0] * (process.output[0] * x[:-1] + process.direct * x[1:])
-    assert float(process.transition[0, 0]) == 0 and float(process.drive[0]) == 1
-    for lag, tolerance in ((0, 0.02), (1, 0.03)):
-        pair = [np.mean(a[lag:] * a[: a.size - lag]) for a in (made, error)]
-        assert pair[0] == pytest.approx(pair[1], rel=tolerance)

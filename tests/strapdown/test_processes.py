@@ -129,3 +129,15 @@ def test_driving_noise_is_white_with_unit_variance():
     lagged = rows[:, 1:] @ rows[:, :-1].T / count
     assert np.abs(lagged).max() < 4.5 * error
     assert (rows**4).mean(axis=1) == pytest.approx(3 - 2 / 16, abs=0.03)
+
+
+def test_rounding_process_is_what_rounding_leaves():
+    rng, process = np.random.default_rng(2), processes.rounding_process(np.array([2.0] * 3))
+    total = np.cumsum(rng.normal(0, 50.0, 200_000))
+    error = np.diff(2.0 * np.round(total / 2.0) - total)
+    x = rng.standard_normal(200_001)  # y = c x + d w, and x becomes w
+    made = process.scale[0] * (process.output[0] * x[:-1] + process.direct * x[1:])
+    assert float(process.transition[0, 0]) == 0 and float(process.drive[0]) == 1
+    for lag, tolerance in ((0, 0.02), (1, 0.03)):
+        pair = [np.mean(a[lag:] * a[: a.size - lag]) for a in (made, error)]
+        assert pair[0] == pytest.approx(pair[1], rel=tolerance)
