@@ -70,7 +70,7 @@ def start_housing(
     if motion.angle is None:
         return HousingState(None, motion.velocity, None, None)
     turn = exp_of_sample(motion.angle)
-    return HousingState(turn, _added_velocity(motion, turn, lever, base_rate), none, none)
+    return HousingState(turn, _velocity_over_rigid_base(motion, turn, lever, base_rate), none, none)
 
 
 def sense_in_housing(
@@ -101,10 +101,12 @@ def sense_in_housing(
         return state._replace(velocity=motion.velocity), shaken
     assert state.turn and state.base and state.sensed
     turn = exp_of_sample(motion.angle)
-    velocity = _added_velocity(motion, turn, lever, scale(1 / dt, base.dtheta))
+    velocity = _velocity_over_rigid_base(motion, turn, lever, scale(1 / dt, base.dtheta))
     if lever is not None:
         assert velocity and before and sensed.axes
-        base = _carry_over_earth(base, scale(0.5, add(velocity, before)), sensed.axes, place, dt)
+        base = _add_transport_and_coriolis(
+            base, scale(0.5, add(velocity, before)), sensed.axes, place, dt
+        )
     rotation, added = compensate_sample(base, state.base)
     if velocity and before:
         added = add(added, add(rotate(rotation, velocity), scale(-1.0, before)))
@@ -114,7 +116,7 @@ def sense_in_housing(
     return HousingState(turn, velocity, base, increments), increments
 
 
-def _carry_over_earth(
+def _add_transport_and_coriolis(
     base: Increments, velocity: Vec3, axes: Axes, place: Place, dt: Scalar
 ) -> Increments:
     """Return increments with the transport rate and the Coriolis acceleration of a mean velocity.
@@ -129,7 +131,7 @@ def _carry_over_earth(
     )
 
 
-def _added_velocity(
+def _velocity_over_rigid_base(
     motion: HousingMotion, turn: Quat, lever: Vec3 | None, base_rate: Vec3
 ) -> Vec3 | None:
     """Return the velocity of the sensors over that of a rigid base, in b, m/s; None if zero.
