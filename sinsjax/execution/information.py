@@ -181,7 +181,7 @@ def _rounding_errors(errors: SensorErrors) -> IncrementErrors:
         "accel_quantisation": (errors.accel_quantum, ACCEL),
     }
     return {
-        name: IncrementError(rounding_process(np.asarray(quantum)), sensor)
+        name: IncrementError(rounding_process(np.asarray(quantum)), sensor, rounded=True)
         for name, (quantum, sensor) in quanta.items()
         if quantum is not None and np.any(quantum)
     }
