@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -274,6 +275,15 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     angle = np.abs(np.arctan2(y, x))
     expected = np.sqrt(np.mean(angle**2)), np.quantile(angle, 0.95)
     assert wrapped_rms_and_q95(sigma) == pytest.approx(expected, rel=0.01)
+
+
+def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
+    turns = {"motion.turn_times_s": [30.0, 60.0], "motion.turn_angles_deg": [360.0, -360.0]}
+    rounded = {"sensors.gyro_quantisation_arcsec": 10.0, "motion.turn_rate_deg_per_s": 20.0}
+    problem = sheet_problem(read(turns | rounded))
+    steps = (replace(problem, longest_step_s=step) for step in (0.1, 1.0))
+    fine, coarse = (heading_budget(one, [100.0], ("gyro_quantisation",)).sigma for one in steps)
+    assert coarse == pytest.approx(fine, rel=0.005)
 
 
 def test_rounding_process_is_what_rounding_leaves():
