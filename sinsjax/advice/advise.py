@@ -57,13 +57,12 @@ _LEFT_OUT = {
 }
 """Sources of errors for which a method has no unknowns."""
 
-_MOST_LOSS, _LOSS_PER_RAD = 0.2, 0.5  # of the filter, in large errors that vary
+_MOST_LOSS, _LOSS_PER_RAD = 0.2, 0.5  # of the filter, in large errors by the surge
 _FITTED = (
     *("gyro_bias_deg_per_h", "gyro_arw_deg_per_sqrt_h", "accel_bias_ug"),
     *("accel_vrw_ug_per_sqrt_hz", "gyro_scale_ppm", "gyro_misalignment_arcsec"),
 )
 _SWING_AN_ARM = (*(f"{a}_amplitude_deg" for a in AXES), "turn_times_s", "attitude_file")
-_TURN_ON = ("gyro_bias", "accel_bias")
 _LEAST_SHARE = 1e-9  # of a source that is in a budget
 _CELLS = 4000
 _RATE_HZ = 100.0
@@ -396,9 +395,9 @@ def _expected_sigmas(
     budget = heading_budget(problem, times_s, _LEFT_OUT[choice.method])
     if choice.method == _FIT:
         return choice, budget, budget.sigma
-    varying = np.sqrt(budget.variance[:, [s not in _TURN_ON for s in budget.sources]].sum(axis=1))
-    more = 1 + np.minimum(_MOST_LOSS, _LOSS_PER_RAD * varying)
-    return choice, budget, np.sqrt(budget.sigma**2 + (more**2 - 1) * varying**2)
+    surge = np.sqrt(budget.variance[:, [s == "surge" for s in budget.sources]].sum(axis=1))
+    more = 1 + np.minimum(_MOST_LOSS, _LOSS_PER_RAD * surge)
+    return choice, budget, np.sqrt(budget.sigma**2 + (more**2 - 1) * surge**2)
 
 
 def describe_advice(advice: Advice) -> Iterator[str]:

@@ -97,11 +97,13 @@ class IncrementError(NamedTuple):
         process: x' = A x + b w, y = c x + d w, whose y is the error on three axes, rad or m/s.
         sensor: `GYRO` or `ACCEL`.
         in_n: whether the axes are those of n and not those of b.
+        rounded: whether y is the change of x, an angle or velocity that rounding leaves in b.
     """
 
     process: Process
     sensor: int
     in_n: bool = False
+    rounded: bool = False
 
 
 IncrementErrors: TypeAlias = Mapping[str, IncrementError]
@@ -427,12 +429,21 @@ def _integrate_steps(
     white[:, GYRO, LEVEL, PHI], white[:, GYRO, PHI, LEVEL] = across, across.swapaxes(1, 2)
     white[:, GYRO, PHI, PHI] = integrate(gyro)
     white[:, ACCEL, LEVEL, LEVEL] = integrate(accel[:, :, :2, :2])
-    for source, (process, sensor, in_n) in enumerate(processes.errors):
+    for source, (process, sensor, in_n, rounded) in enumerate(processes.errors):
+        driven[:, 5:, source] = processes.drive[source]
+        if rounded:  # in a step that turns, only what is left at its ends
+            left_over = np.zeros((count + 1, 5, 3))
+            ends, _ = problem.motion(np.append(numbers, numbers[-1] + 1) * step)
+            rows, sign = (PHI, -1) if sensor == GYRO else (LEVEL, 1)
+            left_over[:, rows] = sign * (ends * process.scale)[:, : rows.stop - rows.start]
+            driven[:, :5, source] = left_over[1:]
+            left_over[:, LEVEL] += step * lean @ left_over[:, PHI]
+            transition[:, :5, 3:] -= left_over[:-1] @ processes.drive[source].T
+            continue
         of_axes = _IN_N if in_n else constant[:, :, 3 * sensor : 3 * sensor + 3] / step
         of_axes = of_axes * process.scale
         transition[:, :5, 3:] += of_axes @ processes.output[source]
         driven[:, :5, source] = of_axes * process.direct
-        driven[:, 5:, source] = processes.drive[source]
     return Steps(transition, constant, white, driven)
 
 

@@ -115,15 +115,16 @@ def budget_problem(study: Study) -> HeadingProblem:
     runtime.ensure_configured()
     _check_bound_applies(study)
     problem = _heading_problem(Scenario(study), 0, for_budget=True)
-    (given,), (surge,) = study.values("lever_arm_m"), study.values("surge_m_per_s")
-    if not (arm := np.broadcast_to(given, 3)).any():
-        return problem
+    keys = "lever_arm_m", "surge_m_per_s", "gyro_quantisation_arcsec", "accel_quantisation_um_per_s"
+    given, surge, *quanta = (study.values(key)[0] for key in keys)
+    arm, step = np.broadcast_to(given, 3), problem.longest_step_s
     if level_surge(surge):  # `kalman_surge` does not know the arm; the mean over all headings
-        return replace(problem, lever_arms=np.outer([1, 1j], arm) / np.sqrt(2))
-    # It is an unknown of `gravity_fit`, whose blocks are the steps.
-    level = np.hypot(arm[0], arm[1]) / np.sqrt(2)
-    arms = np.diag([level, level, arm[2]])
-    return replace(problem, lever_arms=arms, longest_step_s=BLOCK_S)
+        arms = np.outer([1, 1j], arm) / np.sqrt(2)
+    else:  # it is an unknown of `gravity_fit`, which reads blocks
+        level = np.hypot(arm[0], arm[1]) / np.sqrt(2)
+        arms = np.diag([level, level, arm[2]])
+        step = BLOCK_S if any(map(np.any, (arm, *quanta))) else step
+    return replace(problem, lever_arms=arms[arms.any(axis=1)], longest_step_s=step)
 
 
 def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False) -> HeadingProblem:
@@ -180,7 +181,7 @@ def _rounding_errors(errors: SensorErrors) -> IncrementErrors:
         "accel_quantisation": (errors.accel_quantum, ACCEL),
     }
     return {
-        name: IncrementError(rounding_process(np.asarray(quantum)), sensor)
+        name: IncrementError(rounding_process(np.asarray(quantum)), sensor, rounded=True)
         for name, (quantum, sensor) in quanta.items()
         if quantum is not None and np.any(quantum)
     }

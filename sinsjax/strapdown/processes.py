@@ -91,12 +91,12 @@ def sampled_mean_of_random_walk(density: Numbers, dt: float) -> Process:
 
 
 def rounding_process(quantum: Numbers) -> Process:
-    """Return the error of rounded increments if each carries on what the last has left.
+    """Return the error of rounded increments that carry on the remainder, which begins at zero.
 
     ``quantum``, (..., 3), is that of each axis.
     """
-    one = np.ones(np.shape(quantum)[:-1])
-    process = _first_order_process(0.0 * one, one, one, one, np.asarray(quantum) / np.sqrt(12))
+    zero, rms = np.zeros(np.shape(quantum)[:-1]), np.asarray(quantum) / np.sqrt(12)
+    process = _first_order_process(zero, zero + 1, zero + 1, zero, rms)
     return process._replace(output=-process.output)
 
 

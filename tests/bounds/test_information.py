@@ -8,6 +8,9 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.spatial.transform import Rotation
 
+from sinsjax.advice.advise import sheet_problem
+from sinsjax.advice.sheet import read_sheet
+from sinsjax.bounds.estimator import heading_variances
 from sinsjax.bounds.information import (
     GYRO,
     BaseMotion,
@@ -303,3 +306,25 @@ def test_step_length_has_little_influence():
     assert coarse == pytest.approx(fine, rel=1e-3)
     # 2,999 samples are a prime number: steps of one sample
     assert bound(59.98, motion(), MEMS, dt=0.02) == pytest.approx(bound(60.0, motion(), MEMS), 0.01)
+
+
+def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
+    """The remainder of a rounded angle is carried on in axes that turn meanwhile."""
+    sheet = {
+        "earth": {"latitude_deg": 48.0},
+        "sensors": {
+            **{"gyro_arw_deg_per_sqrt_h": 0.005, "accel_vrw_ug_per_sqrt_hz": 30.0},
+            "gyro_quantisation_arcsec": 10.0,
+        },
+        "drawn": {"gyro_bias_deg_per_h": {"normal": [0.0, 0.05]}},
+        "motion": {
+            **{"turn_times_s": [30.0, 60.0], "turn_angles_deg": [360.0, -360.0]},
+            "turn_rate_deg_per_s": 20.0,
+        },
+    }
+    problem = sheet_problem(read_sheet(sheet))
+    fine, coarse = (
+        sum(heading_variances([100.0], replace(problem, longest_step_s=step), ("gyro_quantisation",)).values())
+        for step in (0.1, 1.0)
+    )
+    assert np.sqrt(coarse) == pytest.approx(np.sqrt(fine), rel=0.005)
