@@ -324,7 +324,11 @@ def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
     }
     problem = sheet_problem(read_sheet(sheet))
     fine, coarse = (
-        sum(heading_variances([100.0], replace(problem, longest_step_s=step), ("gyro_quantisation",)).values())
+        sum(
+            heading_variances(
+                [100.0], replace(problem, longest_step_s=step), ("gyro_quantisation",)
+            ).values()
+        )
         for step in (0.1, 1.0)
     )
     assert np.sqrt(coarse) == pytest.approx(np.sqrt(fine), rel=0.005)
