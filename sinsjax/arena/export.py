@@ -115,7 +115,7 @@ def export_study(
     write(README, _README.format(study=study.name, format=format, frame=frame).encode())
     starts = np.empty((9, *runs.run_id.shape))
     names: dict[int, list[str]] = {}
-    for batch, condition in runs.batches_and_conditions():
+    for batch, condition in runs.batches_and_variant_conditions():
         starts[:6, :, condition] = np.reshape(find_starts(batch), (6, study.n_draws, -1))
         number = int(runs.environments[condition[0]])
         if number in names:

@@ -64,7 +64,7 @@ class ProgramRuns:
         columns = [study.values(key) for key in self._keys]
         return _number(tuple(column[i] for column in columns) for i in variants)
 
-    def batches_and_conditions(self) -> Iterator[tuple[Batch, NDArray]]:
+    def batches_and_variant_conditions(self) -> Iterator[tuple[Batch, NDArray]]:
         """Yield the program's runs by environment, and the condition of each of their variants."""
         require_floor(self.study)
         methods, (name,) = self.study.values("method"), self.study.study.external or ()

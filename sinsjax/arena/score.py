@@ -234,7 +234,7 @@ def _summary_and_end_phi(runs: ProgramRuns, attitudes: GivenAttitudes) -> tuple[
     """Return the rows of a program, and the misalignments at the end of its runs, (runs, 3)."""
     builder, tables, phi = TableBuilder(runs.study), [], np.empty((runs.run_id.size, 3))
     final_only, (draws, conditions) = _has_one(attitudes), runs.run_id.shape
-    for batch, condition in runs.batches_and_conditions():
+    for batch, condition in runs.batches_and_variant_conditions():
         draw, variant = np.divmod(np.arange(draws * len(condition)), len(condition))
         run = draw * conditions + condition[variant]
         outcome = judge(batch, jax.tree.map(lambda a, run=run: a[:, run], attitudes))

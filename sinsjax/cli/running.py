@@ -22,7 +22,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # batch systems send the second
 def run_study(
     config: Path,
     changes: list[str] | None,
-    files: tuple[Path | None, Path | None] = (None, None),
+    record_and_reference: tuple[Path | None, Path | None] = (None, None),
     *,
     devices: int | None,
     full: bool,
@@ -52,7 +52,7 @@ def run_study(
         file = config.name if config.is_absolute() else config.as_posix()
         options["source"] = f"{file} with {', '.join(changes)}"
     prepare, terminal = prepare_tuning if tunes else prepare_job, plain_console()
-    job = prepare(config, parse_changes(changes), *files, **options)
+    job = prepare(config, parse_changes(changes), *record_and_reference, **options)
     assert job.directory is not None and job.forecast is not None
     with ExitStack() as stack:
         executor, cores = None, devices or cores

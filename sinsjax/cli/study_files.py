@@ -184,7 +184,7 @@ def keys(
     from sinsjax.study import keys
 
     console = plain_console()
-    for line in keys.describe_method(name) if name else ():
+    for line in keys.describe_method_if_known(name) if name else ():
         print_line(console, line, wrap=True)
     for key in keys.find_keys(name):
         is_fixed = key.default and not key.default.startswith("required")

@@ -377,7 +377,7 @@ class TileRuns(NamedTuple):
         The rotations ``turn`` are those from the draws' housings to their bases.
         """
         number, q_true = interval.number, self.base_attitudes(interval)
-        run = run._replace(state=self.fit_blocks(run.state, number))
+        run = run._replace(state=self.fit_at_end_of_interval(run.state, number))
         if turn is not None:
             q_true = rotations.multiply(q_true, turn)
         observe = jax.vmap(self.one.observe, in_axes=(0, self.sensors.draws.run_axis, 0, None))
@@ -398,7 +398,7 @@ class TileRuns(NamedTuple):
         """Return the number of the last sample of an interval, from 1."""
         return ((number + 1) * self.one.spec.interval_samples).astype(self.one.environment.dtype)
 
-    def fit_blocks(self, state: Any, number: Count) -> Any:
+    def fit_at_end_of_interval(self, state: Any, number: Count) -> Any:
         """Return the state of a method after its fit at the end of an interval, if it has."""
         blocks = self.one.method.block_fit
         if blocks is None:

@@ -309,7 +309,7 @@ def _base_and_sensors(keys: Variants) -> BaseAndSensors:
             gyro_quantum=_read_vector(keys.common, keys.micro_g, "gyro_quantisation_arcsec"),
             accel_quantum=_read_vector(keys.common, keys.micro_g, "accel_quantisation_um_per_s"),
         )
-    return BaseAndSensors(errors, read_motion(keys), read_random_processes(keys, keys.rate_hz))
+    return BaseAndSensors(errors, read_rotation(keys), read_random_processes(keys, keys.rate_hz))
 
 
 def _simulated_inputs(
@@ -483,7 +483,7 @@ def _base_rotates(keys: Variants) -> bool:
     return given or keys.is_active(*keys_acting_as("sway"))
 
 
-def read_motion(keys: Variants) -> Motion:
+def read_rotation(keys: Variants) -> Motion:
     """Return the whole motion of the base: sways, turns, given attitudes, and the lever arm."""
     motion = add_turns(read_sways(keys.common), keys)
     if (given := read_attitude(keys.study)) is not None:

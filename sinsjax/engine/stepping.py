@@ -200,7 +200,7 @@ def step_event_by_event(
         sample = jax.tree.map(lambda a: a[0], samples)
         return steps.step(state, place, sample), sensor_state
 
-    def over_block(stop: Count, progress: tuple) -> tuple:
+    def step_to_stop_or_block_end(stop: Count, progress: tuple) -> tuple:
         """Step up to an event or the end of a block, whose samples are made when it begins."""
         place, (state, sensor_state), block, _ = progress
         number = place // size
@@ -229,7 +229,7 @@ def step_event_by_event(
         if size > 1:
             place, carry, block, _ = jax.lax.while_loop(
                 lambda progress: (progress[0] < stop) & ~progress[3],
-                partial(over_block, stop),
+                partial(step_to_stop_or_block_end, stop),
                 (place, carry, block, jnp.asarray(False)),
             )
         else:

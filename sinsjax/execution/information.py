@@ -27,8 +27,8 @@ from sinsjax.engine.scenario import (
     ENVIRONMENT_KEYS,
     Scenario,
     read_errors,
-    read_motion,
     read_random_processes,
+    read_rotation,
 )
 from sinsjax.errors import InputError
 from sinsjax.maths.rotations import matrix
@@ -135,7 +135,7 @@ def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False)
     if not np.all(errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
     variants, dt = scenario.keys(part), 1 / study.rate_hz
-    motion = read_motion(variants)._replace(lever=None)
+    motion = read_rotation(variants)._replace(lever=None)
     draws_errors = any(key in _CONSTANT_KEYS for key in study.drawn_keys)
     still = not (for_budget or motion.turns or draws_errors)
     laws = {} if study.drawn is None else study.drawn.laws

@@ -247,7 +247,7 @@ def _run_tasks(
     stop: threading.Event,
 ) -> None:
     """Run the tasks that a sink lacks, stage by stage."""
-    study, stages = runner.job.study, runner.plan_tasks_by_stage()
+    study, stages = runner.job.study, runner.all_tasks_by_stage()
     missing, total = set(sink.missing_tasks(chain(*stages))), study.n_draws * study.n_variants
     done_before = done = total - sum(task.runs for task in missing)
     programs = len({task.part for task in missing}) if executor.local else 0

@@ -137,7 +137,7 @@ class TaskRunner:
         ends = sorted({*interim_draws(self.job.study), *self.job.extended_at})
         return [range(a, b) for a, b in zip([0, *ends], ends, strict=False)]
 
-    def plan_tasks_by_stage(self) -> list[list[Task]]:
+    def all_tasks_by_stage(self) -> list[list[Task]]:
         """Return the tasks of every stage."""
         numbers = [count() for _ in self._scenario.specs]
         return [

@@ -61,7 +61,7 @@ def build(options: method.Options) -> method.Program:
         level = jnp.where(state.count > 0, level, unknown)
         return method.AttitudeCovariance(level, zero, zero, level, zero, unknown)
 
-    return method.Program(_init, _step, _attitude, covariance=covariance, floor=_bias_floor)
+    return method.Program(_init, _sum_forces, _attitude, covariance=covariance, floor=_bias_floor)
 
 
 def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
@@ -69,7 +69,7 @@ def _init(bias_tilt: Scalar, nav: Navigation) -> LevelState:
     return LevelState(nav, bias_tilt + zero, Vec3(zero, zero, zero), zero, zero)
 
 
-def _step(
+def _sum_forces(
     params: Any, site: method.Site, state: LevelState, sample: Sample, n: Scalar
 ) -> LevelState:
     # `Sample.dv` is in b at the start of the sample, carried there over half the rotation that the

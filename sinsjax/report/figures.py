@@ -47,7 +47,7 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
             yield from _two_axis_maps(outcome, criterion, axes, others)
     elif axes:
         yield _curves_along_axis(outcome, axes[0], others)
-    yield from _nees_and_variance_picture(source)
+    yield from _filter_consistency_picture(source)
 
 
 def describe_intervals(source: Results, quantity: str = "Number", of: str = "draws") -> str:
@@ -145,7 +145,7 @@ def _curves_along_axis(outcome: SweepOutcome, axis: str, by: Sequence[str]) -> P
     return Picture("along_axis", text, figure)
 
 
-def _nees_and_variance_picture(source: Results) -> Iterator[Picture]:
+def _filter_consistency_picture(source: Results) -> Iterator[Picture]:
     """NEES and P against the true error, of the heading from the bias floor if P excludes biases.
 
     One line per variant; of many variants, one line per value of the first key that has few.

@@ -241,7 +241,7 @@ def find_keys(name: str | None = None) -> list[Key]:
     return found
 
 
-def describe_method(method_name: str) -> list[str]:
+def describe_method_if_known(method_name: str) -> list[str]:
     """Return the description of a method in lines; empty for another name."""
     if method_name not in METHODS:
         return []

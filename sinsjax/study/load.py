@@ -190,7 +190,7 @@ def _check_tuning_points(study: Study) -> None:
     corners = search_space.lowest_and_highest_points(study)
     for place, point in corners.items():
         build_point(place, point)
-    search_space.add_matching_baseline(study, build_point("[tune.baseline]", baseline), corners)
+    search_space.add_baseline_of_same_keys(study, build_point("[tune.baseline]", baseline), corners)
 
 
 def _check_tables(data: TomlTable) -> None:

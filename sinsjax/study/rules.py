@@ -144,7 +144,7 @@ def _check_intervals(study: Study) -> None:
         study.refuse("record_interval_s", f"{record:.12g} s is longer than a run, {duration}")
 
 
-def _check_passes(study: Study) -> None:
+def _check_passes_fit_into_run(study: Study) -> None:
     """Refuse a stored record of a wrong length, and passes that do not fit into the run."""
     duration = study.duration_s * (1 + ROUNDING)
     for point in study.combinations(*PASS_KEYS) if study.passes else ():
@@ -262,7 +262,7 @@ def _check_dwell(study: Study) -> None:
         study.refuse("dwell_s", f"{dwell:.12g} s is not shorter than the run ({study.end})")
 
 
-def _check_stop_when(study: Study) -> None:
+def _check_stop_statistic_and_half_width(study: Study) -> None:
     """Refuse a statistic that the study does not have, and a share that is always met."""
     if study.stop_when is None:
         return
@@ -437,7 +437,7 @@ _PRESENCE = (
     _check_trigger_and_threshold,
     refuse_drawn_motion,
 )
-_LENGTHS = (_check_study_size, _check_intervals, _check_passes)
+_LENGTHS = (_check_study_size, _check_intervals, _check_passes_fit_into_run)
 _VALUES = (_refuse_implausible_values, _check_drawn_values)
 _TIMES = (
     _check_coarse_method,
@@ -447,7 +447,7 @@ _TIMES = (
     _check_window_has_two_record_times,
     _check_report_times_are_record_times,
     _check_dwell,
-    _check_stop_when,
+    _check_stop_statistic_and_half_width,
     _check_rules_of_methods,
     _check_times_within_runs,
     _check_tune_section,

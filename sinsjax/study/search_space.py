@@ -190,7 +190,7 @@ def effective_values(study: Study, keys: Iterable[str]) -> TomlTable:
     return values
 
 
-def add_matching_baseline(
+def add_baseline_of_same_keys(
     study: Study, baseline_study: Study, points: Mapping[str, TomlTable]
 ) -> dict[str, TomlTable]:
     """Return points and the baseline with the same keys, as cases of one study with [tune].

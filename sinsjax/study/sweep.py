@@ -389,7 +389,7 @@ def _read_cases(reader: _Reader, axes: Mapping[str, Collection[Any]]) -> tuple[T
         case = {key: read[key][i] for key in row}
         given = GivenKeys(tables, {**axes, **{key: (value,) for key, value in case.items()}})
         with errors.collect():
-            cases.append({k: case[k] if k in row else _inherited_value(k, given) for k in keys})
+            cases.append({k: case[k] if k in row else _omitted_case_value(k, given) for k in keys})
     errors.raise_all()
     names = [key for key in keys if key != "case"]
     place = f"[cases] {', '.join(names) or 'case'}"
@@ -399,7 +399,7 @@ def _read_cases(reader: _Reader, axes: Mapping[str, Collection[Any]]) -> tuple[T
     return tuple(cases)
 
 
-def _inherited_value(key: str, given: GivenKeys) -> Any:
+def _omitted_case_value(key: str, given: GivenKeys) -> Any:
     """Return the value of a key that a case leaves out."""
     name, alternatives = SECTION_OF[key], alternative_keys(key)
     section = given.tables.get(name, {})

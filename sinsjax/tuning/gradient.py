@@ -94,7 +94,7 @@ def _descend_combination(
         import optax  # late: it is slow to import, and only descents need it
 
         steps, starts = tune.descent_steps, tune.descent_starts
-        slope = Slope(parameters, stored, starts=starts, draws=tune.descent_draws)
+        slope = DescentObjectives(parameters, stored, starts=starts, draws=tune.descent_draws)
         screened = max(tune.descent_screen, starts)
         box = np.concatenate([laws, search.sobol_boxes(study, GRADIENT, number, screened)])
         if screened > starts:
@@ -176,7 +176,7 @@ class _Lane(NamedTuple):
     width: Array | None  # (lanes,) half width of the windows of resets, samples; None if none moves
 
 
-class Slope:
+class DescentObjectives:
     """Relaxed objective of some descents and its gradient, for one combination of candidates.
 
     Attributes:

@@ -22,7 +22,7 @@ from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import unwritable_message, write_file
 from sinsjax.records.reference import StoredRecord
 from sinsjax.study.load import describe_differences, fingerprint, study_to_toml, with_point
-from sinsjax.study.search_space import SearchSpace, add_matching_baseline
+from sinsjax.study.search_space import SearchSpace, add_baseline_of_same_keys
 from sinsjax.study.study import Study
 from sinsjax.tuning import gradient, history, search
 from sinsjax.tuning.history import EVALUATION, TUNED, SearchResult
@@ -196,7 +196,7 @@ def _evaluate_searches_baseline_and_law(
     if (law := search.reset_law_schedule_in_unit_box(study, combination)) is not None:
         (points[LAW],) = (one.keys(space) for one in search.points_at(space, combination, [law]))
     names: dict[tuple[object, ...], list[str]] = {}
-    every = add_matching_baseline(study, baseline, points)
+    every = add_baseline_of_same_keys(study, baseline, points)
     for name, point in every.items():
         names.setdefault(tuple(point.values()), []).append(name)
     labelled = {", ".join(equal): every[equal[0]] for equal in names.values()}

@@ -29,7 +29,7 @@ def test_deduplicated_rows_equal_rows_of_all_variants_computed(
     study = small_study(**SWEPT)
 
     def compute() -> tuple[list[int], Results]:
-        (tasks,) = TaskRunner(Job(study, chunk_runs=128)).plan_tasks_by_stage()
+        (tasks,) = TaskRunner(Job(study, chunk_runs=128)).all_tasks_by_stage()
         return [task.runs for task in tasks], run(study, curves=curves, chunk_runs=128)
 
     counts, together = compute()

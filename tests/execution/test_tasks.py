@@ -61,7 +61,7 @@ def test_rows_do_not_depend_on_chunks_tasks_or_later_draws(name, tmp_path):
 def test_tasks_are_deterministic_and_cover_every_run(draws, variants, chunk_runs):
     axes = {"p0_yaw_deg": [float(i + 1) for i in range(variants)]}
     job = Job(small_study(study={"draws": draws}, axes=axes), None, None, chunk_runs)
-    (tasks,), again = TaskRunner(job).plan_tasks_by_stage(), TaskRunner(job).plan_tasks_by_stage()
+    (tasks,), again = TaskRunner(job).all_tasks_by_stage(), TaskRunner(job).all_tasks_by_stage()
     assert [tasks] == again
     assert sum(task.runs for task in tasks) == draws * variants
     assert [task.call for task in tasks] == list(range(len(tasks)))

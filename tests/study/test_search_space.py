@@ -158,7 +158,7 @@ def test_comparable_lists_same_keys_for_baseline_and_points():
         baseline=baseline,
     )
     points = {"grid": {"reset_times_s": (3.0,), "reset_yaw_deg": 20.0, "q_scale": 0.5}}
-    told = search_space.add_matching_baseline(study, with_point(study, baseline), points)
+    told = search_space.add_baseline_of_same_keys(study, with_point(study, baseline), points)
     defaults = {"reset_times_s": (2.0, 4.0), "reset_yaw_deg": 80.0, "q_scale": 1.0}
     assert told == {
         "baseline": defaults | {"r_velocity_m_per_s": 0.3},

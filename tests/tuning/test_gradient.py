@@ -12,7 +12,7 @@ import sinsjax
 from sinsjax.engine.scenario import Scenario
 from sinsjax.study.search_space import SearchSpace
 from sinsjax.tuning import gradient, objective, search
-from sinsjax.tuning.gradient import Slope, Softness, TunedParams
+from sinsjax.tuning.gradient import DescentObjectives, Softness, TunedParams
 
 pytestmark = pytest.mark.optimised(False)
 
@@ -84,14 +84,14 @@ def test_gradients_match_finite_differences(name):
     step = np.where([v.key == "reset_times_s" for v in variables], 1e-4, 2e-3)
     for i in range(count):
         box[1 + 4 * i : 5 + 4 * i, i] += step[i] * np.array([-2.0, -1.0, 1.0, 2.0])
-    slope = Slope(TunedParams(STUDIES[name], {}), starts=len(box), draws=2)
+    slope = DescentObjectives(TunedParams(STUDIES[name], {}), starts=len(box), draws=2)
     score, by_box = slope(box, np.arange(2), Softness(5.0, 3.0))
     difference = score[1:].reshape(count, 4) @ np.array([1.0, -8.0, 8.0, -1.0]) / (12 * step)
     assert np.all(difference != 0)
     np.testing.assert_allclose(by_box[0], difference, rtol=1e-4)
 
 
-class MadeUpRuns(Slope):
+class MadeUpRuns(DescentObjectives):
     """Runs whose values are linear in the variables, with these slopes."""
 
     def __init__(self, study, slopes):
@@ -186,7 +186,7 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(m
         return search.PointScores(scores, [0])
 
     monkeypatch.setattr(optax, "adam", lambda rate: optax.scale(0.1))
-    monkeypatch.setattr(gradient.Slope, "__call__", slope)
+    monkeypatch.setattr(gradient.DescentObjectives, "__call__", slope)
     monkeypatch.setattr(gradient, "score_with_hard_resets", score)
     found = gradient.descend(study)
     assert seen == [[0, 1], [2, 3], [0, 1]]
