@@ -17,7 +17,7 @@ import numpy as np
 
 import sinsjax
 from sinsjax import analysis
-from sinsjax.advice.advise import describe_advice, wrapped_rms_and_q95
+from sinsjax.advice.advise import describe_advice, rms_and_q95_of_noisy_direction
 from sinsjax.analysis import Estimate
 from sinsjax.units import ARCMIN
 
@@ -99,7 +99,7 @@ def iter_figures(sheet: dict[str, Any]) -> Iterator[tuple[str, float, sinsjax.Ad
     for one in advice.turns.options if advice.turns else ():
         words = "one 180 deg turn" if one.name == "half turn" else one.name
         if one.motion and words in printed:
-            rms, _ = wrapped_rms_and_q95(one.sigma_arcmin * ARCMIN)
+            rms, _ = rms_and_q95_of_noisy_direction(one.sigma_arcmin * ARCMIN)
             turned = sinsjax.advise(sheet | {"motion": sheet["motion"] | one.motion})
             yield one.name, rms / ARCMIN, turned
 

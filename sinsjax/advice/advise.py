@@ -51,7 +51,7 @@ SOURCES = {
 
 _FIT, _FILTER = "gravity_fit", "kalman_surge"
 
-_LEFT_OUT = {
+_UNMODELLED = {
     _FIT: ("gyro_quantisation", "accel_quantisation", "shaking", "accel_scale"),
     _FILTER: tuple(SOURCES.keys() - {"gyro_noise", "accel_noise", "surge"}),
 }
@@ -150,16 +150,16 @@ def sheet_problem(sheet: Sheet) -> HeadingProblem:
 
 
 def heading_budget(
-    problem: HeadingProblem, times_s: Sequence[float], left_out: Collection[str] = ()
+    problem: HeadingProblem, times_s: Sequence[float], unmodelled: Collection[str] = ()
 ) -> Budget:
     """Return the budget of an estimator at some times, whole seconds, see `heading_variances`."""
-    budget = heading_variances(times_s, problem, left_out)
+    budget = heading_variances(times_s, problem, unmodelled)
     total = sum(budget.values())
     present = {name: part for name, part in budget.items() if np.any(part > _LEAST_SHARE * total)}
     return Budget(np.asarray(times_s), tuple(present), np.stack([*present.values()], axis=1))
 
 
-def wrapped_rms_and_q95(sigma: float) -> tuple[float, float]:
+def rms_and_q95_of_noisy_direction(sigma: float) -> tuple[float, float]:
     """Return rms and 95 % quantile, rad, of a heading that a vector with noise shows.
 
     The data show the level part of the Earth rate with an error of ``sigma``, the linear 1 sigma of
@@ -360,12 +360,12 @@ def advise(
     curve_s = np.geomspace(SHORTEST_S, max(given.times_s), _MOST_TIMES)
     times_s = sorted({*given.times_s, *(float(round(time)) for time in curve_s)})
     choice, budget, sigmas = _expected_sigmas(given, problem, times_s)
-    errors = np.transpose([*map(wrapped_rms_and_q95, sigmas)]) / ARCMIN
+    errors = np.transpose([*map(rms_and_q95_of_noisy_direction, sigmas)]) / ARCMIN
     headings = tuple(map(Heading, times_s, *errors.tolist()))
     known = replace(problem, lever_arms=np.zeros((0, 3)))
     sigma, (bound,) = float(sigmas[times_s.index(asked_s)]), heading_bound([asked_s], known)
-    left_out = _LEFT_OUT[choice.method]
-    turns = None if given.is_turned else compare_turns(problem, asked_s, left_out)
+    unmodelled = _UNMODELLED[choice.method]
+    turns = None if given.is_turned else compare_turns(problem, asked_s, unmodelled)
     return Advice(given, choice, budget, headings, sigma, float(bound / ARCMIN), turns)
 
 
@@ -384,7 +384,7 @@ def scale_source(sheet: Sheet, source: str, factor: float) -> Sheet:
 def _rms_at_the_end(sheet: Sheet) -> float:
     """Return the rms heading error of a sheet at the time asked for, arcmin."""
     *_, (sigma,) = _expected_sigmas(sheet, sheet_problem(sheet), [sheet.asked.time_s])
-    return wrapped_rms_and_q95(sigma)[0] / ARCMIN
+    return rms_and_q95_of_noisy_direction(sigma)[0] / ARCMIN
 
 
 def _expected_sigmas(
@@ -392,7 +392,7 @@ def _expected_sigmas(
 ) -> tuple[Choice, Budget, np.ndarray]:
     """Return the method for a sheet, its budget, and the 1 sigma to expect at all times, rad."""
     choice = choose_method(sheet)
-    budget = heading_budget(problem, times_s, _LEFT_OUT[choice.method])
+    budget = heading_budget(problem, times_s, _UNMODELLED[choice.method])
     if choice.method == _FIT:
         return choice, budget, budget.sigma
     surge = np.sqrt(budget.variance[:, [s == "surge" for s in budget.sources]].sum(axis=1))
@@ -470,7 +470,7 @@ def _describe_turns(advice: Advice) -> str:
     parts = [f"no turn {format_angle(advice.heading.rms_arcmin)}"]
     for one in turned:
         if one.sigma_arcmin <= parked.sigma_arcmin and one.name in ("half turn", best.name):
-            rms, _ = wrapped_rms_and_q95(one.sigma_arcmin * ARCMIN)
+            rms, _ = rms_and_q95_of_noisy_direction(one.sigma_arcmin * ARCMIN)
             half = f"one 180 deg turn at {one.motion['turn_times_s'][0]:g} s"
             name = half if one.name == "half turn" else one.name
             parts.append(f"{name} {format_angle(rms / ARCMIN)}")

@@ -43,14 +43,14 @@ _PHI_SIGMAS = (1.0, 1.0, 100.0)
 
 
 def heading_variances(
-    times_s: Sequence[float], problem: HeadingProblem, left_out: Collection[str] = ()
+    times_s: Sequence[float], problem: HeadingProblem, unmodelled: Collection[str] = ()
 ) -> dict[str, np.ndarray]:
     """Return the variance of the heading error of a linear estimator, by source.
 
     Args:
         times_s: lengths of the data, s, ascending, of whole samples.
         problem: base and sensors; not `still`.
-        left_out: sources that the model of the estimator leaves out, none of them white noise.
+        unmodelled: sources that the model of the estimator leaves out, none of them white noise.
 
     Returns:
         (times,) rad^2, of `NOISE_SOURCES`, the `increment_errors` and `CONSTANT_SOURCES`.
@@ -61,10 +61,10 @@ def heading_variances(
     sigmas = problem.constant_sigmas
     constant = np.flatnonzero(sigmas)
     n = 3 + len(processes.transition)
-    in_model = np.array([source not in left_out for source in increment_errors], bool)
-    unmodelled = [k for source in left_out for k in CONSTANT_SOURCES.get(source, ())]
+    in_model = np.array([source not in unmodelled for source in increment_errors], bool)
+    left_out = [k for source in unmodelled for k in CONSTANT_SOURCES.get(source, ())]
     states = np.concatenate(
-        [np.ones(3, bool), in_model[processes.owner], ~np.isin(constant, unmodelled)]
+        [np.ones(3, bool), in_model[processes.owner], ~np.isin(constant, left_out)]
     )
 
     # Forward: the gains of the estimator, and each step as the matrix of all errors.
@@ -74,7 +74,7 @@ def heading_variances(
     prior[n:, n:] = np.diag(np.square(sigmas[constant]))
     measured = np.concatenate([[True, True], states])
     # A method with a lever arm as an unknown does not know its velocity before the first step.
-    ignored = int(len(problem.lever_arms) > 0 and "lever_arm" not in left_out)
+    ignored = int(len(problem.lever_arms) > 0 and "lever_arm" not in unmodelled)
     p = prior[np.ix_(states, states)]
     steps = []
     for number, one in enumerate(iter_steps(grid, problem, processes)):

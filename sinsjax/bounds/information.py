@@ -374,11 +374,11 @@ def iter_steps(grid: StepGrid, problem: HeadingProblem, processes: Processes) ->
     count = grid.ends[-1]
     for first in range(0, count, _CHUNK):
         numbers = np.arange(first, min(first + _CHUNK, count))
-        steps = _integrate_steps(problem, numbers, grid.step, processes)
+        steps = _discretise_steps(problem, numbers, grid.step, processes)
         yield from map(Steps, *steps)
 
 
-def _integrate_steps(
+def _discretise_steps(
     problem: HeadingProblem, numbers: np.ndarray, step: float, processes: Processes
 ) -> Steps:
     """Return the steps with some numbers."""

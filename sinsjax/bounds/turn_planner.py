@@ -180,20 +180,20 @@ def plan_turns(  # noqa: PLR0913
 
 
 def compare_turns(
-    problem: HeadingProblem, duration_s: float, left_out: Sequence[str] = ()
+    problem: HeadingProblem, duration_s: float, unmodelled: Sequence[str] = ()
 ) -> TurnChoice:
     """Return the heading errors of a base that is turned in usual ways, from its own motion on.
 
     Args:
         problem: sensors and base, which is turned about the vertical in addition to its motion.
         duration_s: length of the data, s.
-        left_out: sources of errors without unknowns, see `bounds.estimator`.
+        unmodelled: sources of errors without unknowns, see `bounds.estimator`.
     """
     options = []
     for name, motion in _iter_turn_options(duration_s):
         turning = partial(_turn_base, problem, motion, duration_s)
         base = replace(problem, motion=turning) if motion else problem
-        variances = heading_variances([duration_s], base, left_out)
+        variances = heading_variances([duration_s], base, unmodelled)
         sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
         options.append(TurnOption(name, sigma / ARCMIN, motion))
     return TurnChoice(tuple(options))

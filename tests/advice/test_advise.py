@@ -15,9 +15,9 @@ from sinsjax.advice.advise import (
     choose_method,
     describe_advice,
     heading_budget,
+    rms_and_q95_of_noisy_direction,
     scale_source,
     sheet_problem,
-    wrapped_rms_and_q95,
 )
 from sinsjax.advice.sheet import MOTIONS, read_sheet, shipped_sheets
 from sinsjax.errors import InputError
@@ -52,8 +52,8 @@ def read(changes=None, **options):
     return read_sheet(FOG, changes=changes, **options)
 
 
-def budget_of(given, times_s, left_out=()):
-    return heading_budget(sheet_problem(given), times_s, left_out)
+def budget_of(given, times_s, unmodelled=()):
+    return heading_budget(sheet_problem(given), times_s, unmodelled)
 
 
 def advise(changes=None, **options):
@@ -270,4 +270,4 @@ def test_wrapped_heading_is_that_of_a_vector_with_noise(sigma):
     x, y = 1 + sigma * rng.standard_normal(400_000), sigma * rng.standard_normal(400_000)
     angle = np.abs(np.arctan2(y, x))
     expected = np.sqrt(np.mean(angle**2)), np.quantile(angle, 0.95)
-    assert wrapped_rms_and_q95(sigma) == pytest.approx(expected, rel=0.01)
+    assert rms_and_q95_of_noisy_direction(sigma) == pytest.approx(expected, rel=0.01)
