@@ -112,7 +112,7 @@ def score_results(
         source=f"{source.name} with {Path(results).name}",
         warnings=tuple(f"{name}: {line}" for line in doubts),
     )
-    write_table(job, pa.concat_tables([judged, _renumber(runs, own.summary)]).sort_by("run_id"))
+    write_table(job, pa.concat_tables([judged, _renumber_methods(runs, own)]).sort_by("run_id"))
     return Results.read(directory / _SCORES / name)
 
 
@@ -254,9 +254,9 @@ def _has_one(attitudes: GivenAttitudes) -> NDArray:
     return attitudes.present.sum(axis=0) == 1
 
 
-def _renumber(runs: ProgramRuns, own: pa.Table) -> pa.Table:
+def _renumber_methods(runs: ProgramRuns, own_methods: Results) -> pa.Table:
     """Return the rows of the own methods as those of the study with the program."""
-    study, keys = runs.study, ["method", *runs.source.axis_keys]
+    study, keys, own = runs.study, ["method", *runs.source.axis_keys], own_methods.summary
     variants = {p: i for i, p in enumerate(zip(*map(study.values, keys), strict=True))}
     points = zip(*map(runs.source.values, keys), strict=True)
     variant = np.array([variants[p] for p in points])[own["variant_id"].to_numpy()]

@@ -83,7 +83,7 @@ class OneRun:
 
     def _trace(self, params: RunParams, draw: Draw) -> Outcome:
         """Return the outcome of a tile of one lane, traced with a loop that has all derivatives."""
-        params = params._replace(method=_with_zero_gradient_warnings(params.method))
+        params = params._replace(method=_warn_if_differentiated_by_counts(params.method))
         draws, lanes = jax.tree.map(lambda a: jnp.asarray(a)[None], (draw, params))
         spec, tile = self._batch.spec, Tiles(draws, np.zeros(1, np.int32), lanes)
         outcome, _ = run_tile(spec, self._batch.environment, tile, by_event=False)
@@ -154,7 +154,7 @@ _COUNTS: dict[type, tuple[str, str]] = {
 """Fields of schedules that count samples, and what they are in words."""
 
 
-def _with_zero_gradient_warnings(params: Any) -> Any:
+def _warn_if_differentiated_by_counts(params: Any) -> Any:
     """Return a method's params that warn if they are differentiated by counts of samples."""
 
     def wrap(part: Any) -> Any:

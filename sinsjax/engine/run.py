@@ -200,7 +200,7 @@ class RunFunctions(NamedTuple):
         return Run(self.method.init(params.method, nav), first)
 
     def start_after_coarse(
-        self, params: RunParams, site: Site, q: Quat, rotation: Quat | None
+        self, params: RunParams, site: Site, q: Quat, rotation_over_coarse: Quat | None
     ) -> Any:
         """Return the state of the method after the coarse stage: at rest, with P0.
 
@@ -209,9 +209,9 @@ class RunFunctions(NamedTuple):
         coarse, zero = self.spec.coarse, jnp.zeros_like(params.ve)
         assert coarse is not None
         samples = zero + float(coarse.intervals * self.spec.interval_samples)
-        if rotation is not None and coarse.replays:
+        if rotation_over_coarse is not None and coarse.replays:
             time = samples * self.spec.options.dt
-            q = stepping.rewind_attitude(q, rotation, site.place, time)
+            q = stepping.rewind_attitude(q, rotation_over_coarse, site.place, time)
             return self.method.init(params.method, initial_solution(site, q, zero, zero))
         nav = initial_solution(site, rotations.normalise(q), zero, zero)
         state = self.method.init(params.method, nav)

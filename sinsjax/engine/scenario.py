@@ -44,7 +44,7 @@ from sinsjax.strapdown.sensors import SensorErrors
 from sinsjax.strapdown.turns import Turns
 from sinsjax.study.keys import COARSE_KEYS, PASS_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.motion import data_end_s, read_attitude, turns_in_samples
+from sinsjax.study.motion import data_end_s, read_attitude_file, turns_in_samples
 from sinsjax.study.schema import (
     EARTH_CONSTANTS,
     TURN_KEYS,
@@ -486,7 +486,7 @@ def _base_rotates(keys: Variants) -> bool:
 def read_rotation(keys: Variants) -> Motion:
     """Return the whole motion of the base: sways, turns, given attitudes, and the lever arm."""
     motion = add_turns(read_sways(keys.common), keys)
-    if (given := read_attitude(keys.study)) is not None:
+    if (given := read_attitude_file(keys.study)) is not None:
         motion = motion._replace(path=attitude_path(given.time_s, given.attitude_deg))
     rotates = _base_rotates(keys) or keys.is_active("vibration_deg_per_h_rms")
     if rotates and keys.is_active("lever_arm_m"):

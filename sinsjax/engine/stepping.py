@@ -221,9 +221,9 @@ def step_event_by_event(
         place, (state,), stopped = step_until(place, end, step_made, (state,))
         return place, (state, sensor_state), block, stopped
 
-    def to_next_event(progress: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
+    def step_to_next_event(place_carry_block: tuple[Count, Any, Any]) -> tuple[Count, Any, Any]:
         """Step up to the next event and close the loop there."""
-        place, carry, block = progress
+        place, carry, block = place_carry_block
         # Compared as a float, since it is infinite when nothing is due any more.
         stop = jnp.minimum(next_event(carry[0], place), count).astype(place.dtype)
         if size > 1:
@@ -238,4 +238,4 @@ def step_event_by_event(
         return place, (steps.close(state, place), sensor_state), block
 
     start = jnp.asarray(0), (state, sensor_state), block
-    return jax.lax.while_loop(lambda progress: progress[0] < count, to_next_event, start)[1]
+    return jax.lax.while_loop(lambda progress: progress[0] < count, step_to_next_event, start)[1]

@@ -29,7 +29,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.files import source_name
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.motion import data_end_s, read_attitude, unused_turn_warnings
+from sinsjax.study.motion import data_end_s, read_attitude_file, unused_turn_warnings
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.rules import describe_idle_keys
 from sinsjax.study.study import Study
@@ -132,7 +132,7 @@ def load_job(
 def check_and_annotate_job(job: Job, cost: Forecast) -> Job:
     """Check what a job needs apart from its record, and collect its warnings and notes."""
     study, notes, doubts = job.study, job.notes, job.warnings
-    read_attitude(study)
+    read_attitude_file(study)
     is_new = not (job.overwrite or job.resume or study.stop_when)
     forecast.check_resources(study.name, cost, job.directory if is_new else None)
     check_plugins(study, job.stored)

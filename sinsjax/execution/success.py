@@ -44,7 +44,7 @@ class RunSuccess(NamedTuple):
 def evaluate_success(
     study: Study,
     outcome: Outcome,
-    floors: NDArray,
+    floor_flags: NDArray,
     end_s: NDArray,
     *,
     has_truth: bool = True,
@@ -57,8 +57,8 @@ def evaluate_success(
     criteria = success_criteria(study)
     outside_until = np.moveaxis(np.asarray(outcome.outside_until), 0, -1)
     settled_s = np.where(outside_until >= end_s * (1 - 1e-12), np.nan, outside_until)
-    settled_s[FLOOR, :, ~floors] = np.nan
-    no_north = (floors & np.asarray(outcome.floor.no_north)) | (not finds_heading)
+    settled_s[FLOOR, :, ~floor_flags] = np.nan
+    no_north = (floor_flags & np.asarray(outcome.floor.no_north)) | (not finds_heading)
     latest_s = (end_s - criteria.dwell(end_s)) * (1 + 1e-12)
     in_band = settled_s[:, settling_bands(study).index(criteria.band_arcmin)] <= latest_s
     ok = in_band & _is_level(criteria, outcome) & ~no_north
@@ -68,18 +68,18 @@ def evaluate_success(
     broken = ~np.isfinite(np.stack(angles)).all(axis=0)
     if not has_truth:
         status = ["nonfinite" if b else None for b in broken]
-        return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
-    error = np.asarray(last.phi.z) - np.where(floors, outcome.floor.phi.z, 0.0)
+        return RunSuccess(floor_flags, settled_s, ok, pa.array(status, pa.string()))
+    error = np.asarray(last.phi.z) - np.where(floor_flags, outcome.floor.phi.z, 0.0)
     kinds = {
         "nonfinite": broken,
         "no_north": no_north,
-        None: ~floors & (not criteria.from_truth),
+        None: ~floor_flags & (not criteria.from_truth),
         "ok": ok[TRUTH if criteria.from_truth else FLOOR],
         "diverged": np.abs(error) > criteria.diverged_deg * DEG,
     }
     kind = np.select(list(kinds.values()), list(range(len(kinds))), default=len(kinds))
     status = np.array([*kinds, "not_settled"], dtype=object)[kind]
-    return RunSuccess(floors, settled_s, ok, pa.array(status, pa.string()))
+    return RunSuccess(floor_flags, settled_s, ok, pa.array(status, pa.string()))
 
 
 def _is_level(criteria: SuccessCriteria, outcome: Outcome) -> NDArray:

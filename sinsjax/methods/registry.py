@@ -66,7 +66,7 @@ def _refuse_clashing_sections_and_keys(method: Method, taken: Mapping[str, type[
                 raise InputError(f"[{name}] {keys[0]} is a key of [{other}]")
 
 
-def add_plugins() -> None:
+def add_plugins_or_mark_broken() -> None:
     """Add the methods of plug-ins; none replaces another."""
     for point in runtime.method_entry_points():
         package = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
@@ -115,7 +115,7 @@ def check_plugin(name: str, program: Program, params: Any, variants: int, site: 
             raise InputError(f"{name}: {what} returns {texts}")
 
 
-def drop_clashing_plugins(reserved: Mapping[str, type[Section]]) -> None:
+def move_clashing_plugins_to_broken(reserved: Mapping[str, type[Section]]) -> None:
     """Make plug-ins unusable that have a section or key of the given ones, of every study."""
     for name in list(PACKAGES):
         try:
@@ -133,7 +133,7 @@ for _built_in in (
     *(OPTIMISATION, OPTIMISATION_POSITION, INERTIAL, GRAVITY_FIT, COMPASS, LEVEL),
 ):
     add_method(_built_in)
-add_plugins()
+add_plugins_or_mark_broken()
 
 
 def _refuse_run(*arguments: Any) -> NoReturn:

@@ -181,15 +181,15 @@ def schedule(
     Raises:
         NoSchedule: no reset pays, no heading can be found, or noise exceeds the band.
     """
-    ratio = _check_and_scale_heading(problem, initial_heading, band)
-    found = _equal_segments(problem, ratio, band, 1)
+    error = _checked_twice_tan_of_half(problem, initial_heading, band)
+    found = _equal_segments(problem, error, band, 1)
     for count in range(2, _MOST_SEGMENTS + 1):
-        more = _equal_segments(problem, ratio, band, count)
+        more = _equal_segments(problem, error, band, count)
         if sum(more) < (1 - _MIN_GAIN) * sum(found):
             found = more
     if len(found) == 1 and initial_heading > _LARGE_ERROR:
-        found = _two_segments(problem, ratio, band)
-    return _schedule_from_segments(problem, _early_resets(problem), found, ratio, band)
+        found = _two_segments(problem, error, band)
+    return _schedule_from_segments(problem, _early_resets(problem), found, error, band)
 
 
 def schedule_with(
@@ -200,21 +200,21 @@ def schedule_with(
     With few resets early ones are left out; with many there are more segments, or more early ones.
     Arguments and errors are those of `schedule`.
     """
-    ratio = _check_and_scale_heading(problem, initial_heading, band)
+    error = _checked_twice_tan_of_half(problem, initial_heading, band)
     early_s, found = levelling_time(problem), {}
     for early in range(1, min(_early_resets(problem), resets - 1) + 1):
-        segments = _equal_segments(problem, ratio, band, resets + 1 - early)
+        segments = _equal_segments(problem, error, band, resets + 1 - early)
         if segments[0] > early_s:  # otherwise the sum favours fewer segments
             found[early] = segments
     if resets == 1 or initial_heading <= _LARGE_ERROR:
-        found[resets] = _equal_segments(problem, ratio, band, 1)
+        found[resets] = _equal_segments(problem, error, band, 1)
     elif not found:
-        found[resets - 1] = _two_segments(problem, ratio, band)
-    schedules = (_schedule_from_segments(problem, *one, ratio, band) for one in found.items())
+        found[resets - 1] = _two_segments(problem, error, band)
+    schedules = (_schedule_from_segments(problem, *one, error, band) for one in found.items())
     return min(schedules, key=lambda schedule: schedule.settling_s)
 
 
-def _check_and_scale_heading(problem: ResetProblem, initial_heading: float, band: float) -> float:
+def _checked_twice_tan_of_half(problem: ResetProblem, initial_heading: float, band: float) -> float:
     """Check that the law has a schedule, and return 2 tan(phi0/2)."""
     if problem.velocity_noise <= 0:
         raise NoSchedule("with a Q of zero no reset ever pays (use 'none')")
@@ -236,27 +236,27 @@ def _early_resets(problem: ResetProblem) -> int:
     return _EARLY_RESETS if problem.is_force_measured else 1
 
 
-def _equal_segments(problem: ResetProblem, ratio: float, band: float, n: int) -> tuple[float, ...]:
-    """Return n - 1 equal segments and a last one that contract a ratio to a band in least time."""
+def _equal_segments(problem: ResetProblem, error: float, band: float, n: int) -> tuple[float, ...]:
+    """Return n - 1 equal segments and a last one that contract an error to a band in least time."""
     if n == 1:
-        return (_last_segment(problem, ratio, band),)
+        return (_last_segment(problem, error, band),)
     lengths_s = problem.heading_time_to_reset_sigma * np.geomspace(1e-2, 1e2, 2000)
-    rests = ratio / contraction(lengths_s, problem) ** (n - 1)
+    rests = error / contraction(lengths_s, problem) ** (n - 1)
     place = int(np.argmin((n - 1) * lengths_s + _last_segment(problem, rests, band)))
     return (*[lengths_s[place]] * (n - 1), _last_segment(problem, rests[place], band))
 
 
-def _two_segments(problem: ResetProblem, ratio: float, band: float) -> tuple[float, ...]:
+def _two_segments(problem: ResetProblem, error: float, band: float) -> tuple[float, ...]:
     """Return two segments that settle a large heading error, though the sum favours one."""
     first_s = _SECOND_SEGMENT * problem.heading_time_to_reset_sigma
-    return first_s, _last_segment(problem, ratio / contraction(first_s, problem), band)
+    return first_s, _last_segment(problem, error / contraction(first_s, problem), band)
 
 
 def _schedule_from_segments(
-    problem: ResetProblem, early_count: int, lengths_s: tuple[float, ...], ratio: float, band: float
+    problem: ResetProblem, early_count: int, lengths_s: tuple[float, ...], error: float, band: float
 ) -> ResetSchedule:
     """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    lengths_s = _lengthen_before_last_reset_for_surge(problem, lengths_s, ratio, band)
+    lengths_s = _lengthen_before_last_reset_for_surge(problem, lengths_s, error, band)
     early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
@@ -270,7 +270,7 @@ def _schedule_from_segments(
 
 
 def _lengthen_before_last_reset_for_surge(
-    problem: ResetProblem, segments: tuple[float, ...], ratio: float, band: float
+    problem: ResetProblem, segments: tuple[float, ...], error: float, band: float
 ) -> tuple[float, ...]:
     """Return the segments with a longer one before the last reset, if the surge requires it.
 
@@ -283,16 +283,16 @@ def _lengthen_before_last_reset_for_surge(
         return segments
     before[-1] = shortest_s
     for length_s in before:
-        ratio /= contraction(length_s, problem)
-    return (*before, _last_segment(problem, ratio, band))
+        error /= contraction(length_s, problem)
+    return (*before, _last_segment(problem, error, band))
 
 
-def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
-    """Return the lengths of segments that contract ratios to a band less noise, s; inf for none."""
+def _last_segment(problem: ResetProblem, error: Any, band: float) -> Any:
+    """Return the lengths of segments that contract errors to a band less noise, s; inf for none."""
     times_s = np.geomspace(1e-6, _LONGEST_S, 4000)
     left = np.maximum(band - _SAFE_SIGMAS * heading_sigma(times_s, problem), 1e-300)
     reached = np.log(np.maximum.accumulate(contraction(times_s, problem) * left))
-    return np.exp(np.interp(np.log(ratio), reached, np.log(times_s), right=math.inf))
+    return np.exp(np.interp(np.log(error), reached, np.log(times_s), right=math.inf))
 
 
 # The settling time

@@ -81,18 +81,18 @@ class Table(NamedTuple):
             self._read(name, "dates with time" if name in dates else "numbers") for name in wanted
         ]
 
-    def _read(self, name: str, kind: str) -> FloatArray:
+    def _read(self, name: str, wanted_kind: str) -> FloatArray:
         column = self.data[name]
 
         def refuse(k: int, text: str) -> InputError:
             place = f"{self.source}: row {self.row_number(k)}"
             return InputError(f"{place}: column {name!r}: {text}")
 
-        if _kind(column.type) != kind:
+        if _kind(column.type) != wanted_kind:
             cells = (_kind(_to_typed(column.slice(k, 1)).type) for k in range(len(column)))
-            k = next((k for k, found in enumerate(cells) if found != kind), 0)
-            raise refuse(k, f"{shorten(str(column[k]), 24)!r} is not one of {kind}")
-        if kind != "numbers":
+            k = next((k for k, found in enumerate(cells) if found != wanted_kind), 0)
+            raise refuse(k, f"{shorten(str(column[k]), 24)!r} is not one of {wanted_kind}")
+        if wanted_kind != "numbers":
             whole = column.cast(pa.timestamp("ns")).cast(pa.int64())
             column = pc.multiply(whole.cast(pa.float64(), safe=False), 1e-9)
         values = np.asarray(column.to_numpy())

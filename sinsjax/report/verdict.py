@@ -269,19 +269,19 @@ def build_short_report(
     others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
     doubts = [*(caution(line, "Warning") for line in others), *_fit_cautions(source)]
     if outcome and finds_heading(source) and not study.is_recorded:
-        facts = [*band, *_external_program_facts(outcome), *_answer_facts(outcome)]
+        facts = [*band, *_external_program_heading_error_facts(outcome), *_answer_facts(outcome)]
         facts += [*doubts, *_caution_facts(outcome)]
-        return Report(_run_summary(source), facts, _most_influential_condition_table(outcome))
+        return Report(_title_with_counts(source), facts, _most_influential_condition_table(outcome))
     table = last_attitude_table(source) if source.runs > 1 else None
     variant, judged = None, []
     if outcome and finds_heading(source) and study.n_variants > 1:
         variant, table = outcome.best_variant, _most_influential_condition_table(outcome)
         judged = [*_answer_facts(outcome), *_caution_facts(outcome)]
-    doubts += filter_sigma_cautions(source)
-    return Report(_run_summary(source), [*attitude_facts(source, variant), *judged, *doubts], table)
+    facts = [*attitude_facts(source, variant), *judged, *doubts, *filter_sigma_cautions(source)]
+    return Report(_title_with_counts(source), facts, table)
 
 
-def _run_summary(source: Results) -> str:
+def _title_with_counts(source: Results) -> str:
     """Return the name of a study with its numbers of runs and failures, and the computing time."""
     study, runs = source.study, source.runs
     count = format_count(runs, "run")
@@ -364,7 +364,7 @@ def _describe_accuracy(outcome: SweepOutcome) -> str:
     return f"{text}, bias floor only {lowest:.1f}'"
 
 
-def _external_program_facts(outcome: SweepOutcome) -> Iterator[Fact]:
+def _external_program_heading_error_facts(outcome: SweepOutcome) -> Iterator[Fact]:
     """Yield the mean heading error of each program outside sinsjax, and that of the best method.
 
     A run without a result counts 180 deg. The best is that of all draws.

@@ -315,20 +315,20 @@ def ideal_sample(
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
 
     def at_node(ahead: Nodes, node: Any, sign: float) -> InBody:
-        def sines_and_rates(wave: tuple, advance: Any, there: AngleRates | None) -> ByAngle:
+        def sines_and_rates_of_angle(wave: tuple, advance: Any, added: AngleRates | None) -> tuple:
             sin, cos, omega, here, turn = wave
             later, versed = sign * advance[0], advance[1]
             change = sin * versed + cos * later
             rate = omega * (cos + (cos * versed - sin * later))
             bend = -omega * omega * (sin + change)
-            if there is not None:
-                change = change + (there.angle - turn.angle)
-                rate, bend = rate + there.rate, bend + there.acceleration
+            if added is not None:
+                change = change + (added.angle - turn.angle)
+                rate, bend = rate + added.rate, bend + added.acceleration
             (s, c), (ds, dc) = here, sin_cos_near_zero(change)
             return (s * dc + c * ds, c * dc - s * ds), rate, bend
 
         added = added_at(sign * node) if motion.turns else (None,) * 3
-        now, rates, bends = zip(*map(sines_and_rates, waves, ahead, added), strict=True)
+        now, rates, bends = zip(*map(sines_and_rates_of_angle, waves, ahead, added), strict=True)
         turned = table and table(sign * node)
         return _motion_in_body(place, motion.lever, now, rates, bends, turned)
 

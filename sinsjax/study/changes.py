@@ -92,7 +92,7 @@ def _change_value(tables: TomlTable, place: str, value: Any, places: dict[str, s
     for other in alternative_keys(key) & places.keys():
         raise InputError(f"{place}: conflicts with {places[other]} (give one of them)")
     places[key] = place
-    return _drop_key_and_alternatives(tables, key, kept)
+    return _drop_alternatives_and_key_elsewhere(tables, key, kept)
 
 
 def copy_tables(
@@ -108,7 +108,7 @@ def copy_tables(
     return sequence(copy_tables(entry, sequence, depth - 1) for entry in value)
 
 
-def _drop_key_and_alternatives(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
+def _drop_alternatives_and_key_elsewhere(tables: TomlTable, key: str, kept: TomlTable) -> list[str]:
     """Remove a key from all tables but one, and its alternatives from all.
 
     The alternatives that were there are returned, each after its table in brackets. An empty zip is

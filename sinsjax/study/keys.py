@@ -21,8 +21,8 @@ from sinsjax.methods.registry import (
     METHODS,
     PACKAGES,
     SECTIONS_OF_METHODS,
-    drop_clashing_plugins,
     external_names,
+    move_clashing_plugins_to_broken,
     unread_keys,
 )
 from sinsjax.study import schema
@@ -44,7 +44,7 @@ _SECTIONS_AFTER: dict[str, type[Section]] = {
     "tune": schema.TuneSection,
 }
 _SWEEPS = dict.fromkeys(("axes", "cases", "drawn"), Section)
-drop_clashing_plugins(_SECTIONS_BEFORE | _SECTIONS_AFTER | _SWEEPS)
+move_clashing_plugins_to_broken(_SECTIONS_BEFORE | _SECTIONS_AFTER | _SWEEPS)
 
 SECTIONS = _SECTIONS_BEFORE | SECTIONS_OF_METHODS | _SECTIONS_AFTER
 """Sections of leaf keys by their name in the file."""

@@ -131,7 +131,7 @@ _LONGEST_STEP = 5.0
 """Longest step of time without a gap, in medians of all steps."""
 
 
-def read_attitude(study: Study) -> Reference | None:
+def read_attitude_file(study: Study) -> Reference | None:
     """Return the attitude of the base over time, if the study has a file of it.
 
     Raises:

@@ -131,7 +131,7 @@ def _check_study_size(study: Study) -> None:
         study.refuse(key, f"{text} are more than {_MAX_RUNS} runs (reduce one of them)")
 
 
-def _check_intervals(study: Study) -> None:
+def _check_intervals_are_whole_samples(study: Study) -> None:
     """Refuse times that are not whole numbers of samples, and runs without a record time."""
     record = study.study.record_interval_s
     _check_whole_multiple(study, "record_interval_s", record, "samples")
@@ -437,7 +437,7 @@ _PRESENCE = (
     _check_trigger_and_threshold,
     refuse_drawn_motion,
 )
-_LENGTHS = (_check_study_size, _check_intervals, _check_passes_fit_into_run)
+_LENGTHS = (_check_study_size, _check_intervals_are_whole_samples, _check_passes_fit_into_run)
 _VALUES = (_refuse_implausible_values, _check_drawn_values)
 _TIMES = (
     _check_coarse_method,

@@ -438,7 +438,7 @@ def read_tune_section(
 ) -> TomlTable:
     """Return [tune] with checked ranges and values; ``varied`` has the table of each varied key."""
     table = dict(table)
-    for name, read in (("variables", _read_range), ("baseline", check_value)):
+    for name, read in (("variables", _read_tuning_range), ("baseline", check_value)):
         given, place = table.get(name), f"[tune.{name}]"
         if isinstance(given, Mapping):
             table[name] = _Reader(tables, dict(varied), errors).read(place, "tuned", given, read)
@@ -458,7 +458,7 @@ def read_tune_section(
     return table
 
 
-def _read_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
+def _read_tuning_range(value: Any, key: str, place: str) -> Range | tuple[Range, ...]:
     """Return the range of a key: of its number, of each entry of its list, or its candidates."""
     kind = _type_of(key)
     entries = next((get_args(k) for k in _iter_types(kind) if get_origin(k) is tuple), ())

@@ -299,7 +299,7 @@ class _Program:
             lanes = tile._replace(params=tile.params._replace(method=method))
             outcome, _ = run_tile(spec, environment, lanes)
             return objective.relaxed_values(
-                self._tune, environment.criteria, outcome, from_truth=self._from_truth
+                self._tune, environment.criteria, outcome, from_truth_not_floor=self._from_truth
             )
 
         def differentiate_tile(tile: Tiles) -> tuple[Array, Array]:

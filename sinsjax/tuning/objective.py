@@ -75,7 +75,7 @@ def score(tune: TuneSection, values: NDArray) -> float:
 
 
 def relaxed_values(
-    tune: TuneSection, criteria: Criteria, outcome: Outcome, *, from_truth: bool
+    tune: TuneSection, criteria: Criteria, outcome: Outcome, *, from_truth_not_floor: bool
 ) -> Array:
     """Return the values of relaxed runs, corresponding to `run_values` of ordinary ones.
 
@@ -83,20 +83,20 @@ def relaxed_values(
         tune: the objective.
         criteria: of the study, with a sharpness.
         outcome: leaves (runs, ...).
-        from_truth: whether heading errors are about the truth rather than the bias floor.
+        from_truth_not_floor: whether heading errors are about the truth rather than the bias floor.
 
     Returns:
         (runs,) settling times into a band with a soft edge, s; final heading errors about the
         bias floor or the truth, arcmin; or the degree, 0 to 1, to which the end is outside the
         band.
     """
-    error = outcome.last.phi.z - (0.0 if from_truth else outcome.floor.phi.z)
+    error = outcome.last.phi.z - (0.0 if from_truth_not_floor else outcome.floor.phi.z)
     if tune.objective == "final_error":
         return error / ARCMIN
     band = jnp.argmin(jnp.abs(criteria.bands - tune.objective_band_arcmin * ARCMIN))
     if tune.objective == "failure_rate":
         return jax.vmap(partial(outside, criteria))(error)[:, band]
-    return outcome.outside_until[:, TRUTH if from_truth else FLOOR, band]
+    return outcome.outside_until[:, TRUTH if from_truth_not_floor else FLOOR, band]
 
 
 def relaxed_score(tune: TuneSection, values: NDArray) -> tuple[Array, Array]:

@@ -400,10 +400,10 @@ def check_resets(study: StudyKeys) -> None:
             shown = " and ".join(map(repr, names))
             study.refuse(key, f"has no effect with schedule = {shown} (drop one of the two)")
     for point in points:
-        _check_reset_times(study, point)
+        _refuse_late_or_colliding_resets(study, point)
 
 
-def _check_reset_times(study: StudyKeys, point: Mapping[str, Any]) -> None:
+def _refuse_late_or_colliding_resets(study: StudyKeys, point: Mapping[str, Any]) -> None:
     times_s, count, cycle, first = (point[key] for key in SCHEDULE_KEYS)
     rate, end_s = study.rate_hz, study.run_s * (1 + ROUNDING)
     late = colliding = "schedule" if point["schedule"] == "law" else "reset_times_s"

@@ -200,11 +200,11 @@ def _score_overconfidence(
     done, left = snapshot.correction, snapshot.not_fed_back
     known = weight(done) * (p_star.uu / believed - 1)
     jump = weight(left) * p_star.uu * (left.x**2 / p_star.ee + left.y**2 / p_star.nn) / 4
-    left_out = (done.z - _sine_by_series(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
+    left_out = (done.z - _sine_by_range_reduction(done.z)) ** 2 / (believed + _SMALL_HEADING**2)
     return honest.p, jnp.sqrt(1 + known + jump + left_out)
 
 
-def _sine_by_series(angle: Scalar) -> Scalar:
+def _sine_by_range_reduction(angle: Scalar) -> Scalar:
     """Return the sine of an angle of some turns, to some 1e-15 by arithmetic alone.
 
     For `jnp.sin` XLA:CPU calls the library lane by lane.

@@ -208,10 +208,10 @@ class _Guess(NamedTuple):
         """Return the unknowns from `GYRO` on."""
         return jnp.stack(jax.tree.leaves((self.gyro, self.others)))
 
-    def corrected(self, unknown: Array, is_heading_known: Scalar) -> "_Guess":
+    def corrected(self, unknown: Array, is_later_pass: Scalar) -> "_Guess":
         """Return the guess with the changes that a pass finds; the first knows no heading."""
         real, imaginary, kx, ky, *errors = unknown
-        real, (cos, sin) = is_heading_known + real, self.heading
+        real, (cos, sin) = is_later_pass + real, self.heading
         cos, sin = cos * real - sin * imaginary, sin * real + cos * imaginary
         norm = jnp.hypot(cos, sin)
         leaves, structure = jax.tree.flatten((self.gyro, self.others))
@@ -377,7 +377,7 @@ def _solve_change_covariance_misfit_length(
     size = jnp.where(is_free, 1 / jnp.sqrt(information), 0.0)
     scaled = matrix * size[:, None] * size[None, :]
     scaled = scaled + jnp.diag(jnp.where(is_free, belief * size**2, 1.0))
-    covariance = invert_positive_definite(scaled) * size[:, None] * size[None, :]
+    covariance = invert_by_gauss_jordan(scaled) * size[:, None] * size[None, :]
     # The belief is about the whole error, of which the guess has a part.
     pull = right - belief * jnp.pad(guess.errors(), (GYRO, 0))
     unknown = covariance @ pull
@@ -385,13 +385,13 @@ def _solve_change_covariance_misfit_length(
     return unknown, covariance, whole[n, n] - unknown @ right, length
 
 
-def invert_positive_definite(matrix: Array) -> Array:
+def invert_by_gauss_jordan(positive_definite: Array) -> Array:
     """Return the inverse of a symmetric positive definite matrix (n, n) of unit diagonal.
 
     By Gauss and Jordan, which needs no pivots here. For `jnp.linalg.inv` XLA calls LAPACK, from
     the threads of several devices at once, and has been seen to wait for ever.
     """
-    places = jnp.arange(len(matrix))
+    places = jnp.arange(len(positive_definite))
 
     def eliminate(k: Count, a: Array) -> Array:
         is_pivot = places == k
@@ -400,7 +400,7 @@ def invert_positive_definite(matrix: Array) -> Array:
         rest = jnp.where(is_pivot[None, :], 0.0, a) - column[:, None] * row[None, :]
         return jnp.where(is_pivot[:, None], row[None, :], rest)
 
-    return jax.lax.fori_loop(0, len(matrix), eliminate, matrix)
+    return jax.lax.fori_loop(0, len(places), eliminate, positive_definite)
 
 
 def _final_attitude_error(end: _PassSums, unknown: Array, covariance: Array) -> tuple[Vec3, Array]:
