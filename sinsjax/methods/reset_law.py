@@ -256,7 +256,7 @@ def _schedule_from_segments(
     problem: ResetProblem, early_count: int, lengths_s: tuple[float, ...], ratio: float, band: float
 ) -> ResetSchedule:
     """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    lengths_s = _lengthen_before_last_reset_for_surge(problem, lengths_s, ratio, band)
+    lengths_s = _lengthen_last_but_one_segment_for_surge(problem, lengths_s, ratio, band)
     early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
@@ -269,8 +269,8 @@ def _schedule_from_segments(
     return ResetSchedule(rounded, float(begin + sum(lengths_s)), lengths_s)
 
 
-def _lengthen_before_last_reset_for_surge(
-    problem: ResetProblem, segments: tuple[float, ...], ratio: float, band: float
+def _lengthen_last_but_one_segment_for_surge(
+    problem: ResetProblem, segments: tuple[float, ...], error_ratio: float, band: float
 ) -> tuple[float, ...]:
     """Return the segments with a longer one before the last reset, if the surge requires it.
 
@@ -283,8 +283,8 @@ def _lengthen_before_last_reset_for_surge(
         return segments
     before[-1] = shortest_s
     for length_s in before:
-        ratio /= contraction(length_s, problem)
-    return (*before, _last_segment(problem, ratio, band))
+        error_ratio /= contraction(length_s, problem)
+    return (*before, _last_segment(problem, error_ratio, band))
 
 
 def _last_segment(problem: ResetProblem, ratio: Any, band: float) -> Any:
