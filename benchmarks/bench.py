@@ -26,7 +26,7 @@ def short_workloads(limit_folder: str | None) -> list[Workload]:
 def measure(*, limit: bool, repeats: int) -> list[Row]:
     """Time the short set on one core."""
     pin_to_one_core()
-    runtime.start_backend()
+    runtime.start_jax_on_chosen_platform()
     with tempfile.TemporaryDirectory(prefix="sinsjax-limit-") as folder:
         return measure_workloads(short_workloads(folder if limit else None), repeats)
 

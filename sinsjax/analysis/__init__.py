@@ -8,7 +8,7 @@ runs out over the axes of a study. `labels` has keys and estimates in words.
 from sinsjax.analysis.estimates import (
     UNKNOWN,
     Estimate,
-    cluster_by_draw,
+    draw_id_clusters,
     mean,
     mean_difference,
     proportion_difference,
@@ -31,7 +31,7 @@ __all__ = [
     "Estimate",
     "Estimates",
     "Grid",
-    "cluster_by_draw",
+    "draw_id_clusters",
     "compare_with_baseline",
     "estimate_groups",
     "format_estimate",

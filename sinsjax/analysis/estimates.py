@@ -5,7 +5,7 @@ Nothing is omitted silently: a run that never settled counts as an infinite sett
 
 All functions take values of shape (n,) in any unit. The runs of a draw share its noise, and all
 runs on a record share its sensor biases, so they are not independent: ``cluster`` is the integer
-cluster of each value, shape (n,), see `cluster_by_draw`, or None if each is its own, and intervals
+cluster of each value, shape (n,), see `draw_id_clusters`, or None if each is its own, and intervals
 count clusters instead of values. An interval holds for other draws of the same variants: the spread
 between variants is not a sampling error. One cluster has no interval, and an end of an interval is
 NaN if there are too few values to bound it. All functions raise `ValueError` without values, if
@@ -55,7 +55,7 @@ UNKNOWN = Estimate(math.nan, math.nan, math.nan, 0)
 """The estimate without any values."""
 
 
-def cluster_by_draw(table: pa.Table) -> NDArray | None:
+def draw_id_clusters(table: pa.Table) -> NDArray | None:
     """The cluster of each run of a summary, shape (rows,): its draw, or 0 for all runs on a record.
 
     Differing start times imply a record. None without ``draw_id``: each run is its own cluster.

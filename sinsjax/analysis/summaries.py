@@ -14,7 +14,7 @@ from sinsjax.analysis.estimates import (
     CLUSTER_COLUMNS,
     UNKNOWN,
     Estimate,
-    cluster_by_draw,
+    draw_id_clusters,
     mean,
     mean_difference,
     proportion_difference,
@@ -63,12 +63,12 @@ class Estimates(NamedTuple):
 
     groups: list[tuple[dict[str, Any], dict[str, Any]]]
 
-    def pivot(self, schema: pa.Schema) -> pa.Table:
+    def pivot(self, key_types: pa.Schema) -> pa.Table:
         """One row per group: its keys with their types in a schema, counts whole, NaN as null."""
         (first, statistics), columns = self.groups[0], {}
         for name in first:
             cells = [keys[name] for keys, _ in self.groups]
-            columns[name] = pa.array(cells, schema.field(name).type)
+            columns[name] = pa.array(cells, key_types.field(name).type)
         for name, example in statistics.items():
             cells = [found[name] for _, found in self.groups]
             if not isinstance(example, Estimate):
@@ -159,7 +159,7 @@ def _statistics(rows: pa.Table, statistics: Mapping[str, _Statistic]) -> dict[st
         found[name] = None if one.estimate is _count_missing else UNKNOWN
         if used.num_rows and (truth or not one.needs_truth):
             values = (numeric_column(used, column) for column in one.columns)
-            found[name] = one.estimate(*values, cluster=cluster_by_draw(used))
+            found[name] = one.estimate(*values, cluster=draw_id_clusters(used))
     return found
 
 
@@ -272,7 +272,7 @@ def _differences(
     rows: pa.Table, base: pa.Table, statistics: Mapping[str, _Statistic]
 ) -> dict[str, Estimate]:
     """The known differences of a group from the baseline, by name."""
-    clusters, found = cluster_by_draw(rows), {}
+    clusters, found = draw_id_clusters(rows), {}
     is_recorded = clusters is not None and np.unique(clusters).size < rows.num_rows
     flags = [t["has_floor"] for t in (rows, base) if "has_floor" in t.column_names]
     with_floor = all(pc.all(pc.fill_null(flag, True)).as_py() for flag in flags)

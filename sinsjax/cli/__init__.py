@@ -228,7 +228,7 @@ def rerun(
         raise InputError(
             f"{directory}: holds a tuning run (give a folder of its runs: {evaluation})"
         )
-    runtime.start_backend()
+    runtime.start_jax_on_chosen_platform()
     terminal, files = plain_console(), (record, reference)
     if not rerun_stored_run(directory, run_id, terminal, out=out, files=files):
         raise typer.Exit(1)
@@ -263,7 +263,7 @@ def info() -> None:
     )
 
     runtime.configure()
-    runtime.start_backend()
+    runtime.start_jax_on_chosen_platform()
     entries = runtime.info()
     methods = (f"{name} ({' '.join(package)})" for name, package in PACKAGES.items())
     more = {

@@ -47,7 +47,7 @@ def run_study(
     if devices is not None and devices > cores:
         raise InputError(f"--devices: {devices} exceeds the {cores} available cores")
     runtime.configure(devices)
-    runtime.start_backend()
+    runtime.start_jax_on_chosen_platform()
     if changes:
         file = config.name if config.is_absolute() else config.as_posix()
         options["source"] = f"{file} with {', '.join(changes)}"

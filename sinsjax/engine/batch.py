@@ -164,7 +164,7 @@ class Layout:
         """
         self._draws, self._variants, self.lanes = draws, variants, lanes
         self._sets = STACKED_TILES if spec.shares_covariance else 1
-        self.width = _lanes_of_draw(spec, variants, lanes)
+        self.width = _lanes_of_draw_padded_to_tiles(spec, variants, lanes)
         # A block, which cannot be cut, is a tile, or stacked tiles of several draws.
         self._stride = lanes if self._sets == 1 else max(lanes, self.width)
         self._across = self._stride // lanes  # blocks beside one another for the same draws
@@ -239,20 +239,20 @@ class Layout:
         )
 
 
-def _lanes_of_draw(spec: ProgramSpec, variants: int, lanes: int) -> int:
+def _lanes_of_draw_padded_to_tiles(spec: ProgramSpec, variants: int, tile_lanes: int) -> int:
     """Return the lanes that a draw takes.
 
     Stacked tiles need the same variants in the same lanes: a draw is widened there, with idle
     lanes, to whole tiles or to a divisor of a tile. Otherwise it is widened to whole tiles if few
     lanes stay idle, since a tile of two draws makes the samples of `VECTOR`.
     """
-    whole = lanes * -(-variants // lanes)
+    whole = tile_lanes * -(-variants // tile_lanes)
     if not spec.shares_covariance:
-        few = variants > lanes and whole - variants <= MOST_IDLE * variants
+        few = variants > tile_lanes and whole - variants <= MOST_IDLE * variants
         return whole if few else variants
-    if variants > lanes:
+    if variants > tile_lanes:
         return whole
-    return next(n for n in range(variants, lanes + 1) if lanes % n == 0)
+    return next(n for n in range(variants, tile_lanes + 1) if tile_lanes % n == 0)
 
 
 def _draws_of_tile(width: int, lanes: int) -> int:

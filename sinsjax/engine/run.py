@@ -27,7 +27,7 @@ from sinsjax.engine.inputs import (
 )
 from sinsjax.engine.metrics import Metrics, Observation, Outcome
 from sinsjax.engine.samples import SensorState, TileSensors
-from sinsjax.engine.stepping import PassReading, Steps, take_samples
+from sinsjax.engine.stepping import IntervalReading, Steps, take_samples
 from sinsjax.maths import rotations
 from sinsjax.maths.algebra import select_tree
 from sinsjax.methods.floors import BiasFloor, MeanBiases
@@ -120,15 +120,15 @@ def advance_interval(
     """
     spec, environment = runs.one.spec, runs.one.environment
     pass_intervals = environment.pass_intervals if spec.reverses else None
-    reading = stepping.read_interval(interval.number, pass_intervals, spec.interval_samples)
+    reading = stepping.order_samples(interval.number, pass_intervals, spec.interval_samples)
     state, sensor_state = take_samples(
-        runs.steps(reading, interval.number),
+        runs.interval_steps(reading, interval.number),
         runs.begin_pass(tile.run.state, reading),
         tile.sensors,
         runs.sensors.interval_blocks(reading, runs.record),
         by_event=runs.by_event,
     )
-    turn = runs.housing_turn(interval.number, sensor_state)
+    turn = runs.vibrating_housing_rotation(interval.number, sensor_state)
     run = runs.observe(Run(state, tile.run.metrics), interval, turn)
     return TileState(run, sensor_state), runs.curve_row(run)
 
@@ -302,7 +302,7 @@ class TileRuns(NamedTuple):
         start = jax.vmap(self.one.start, in_axes=(0, self.site_axis, self.sensors.draws.run_axis))
         return start(self.params, self.site, self.q)
 
-    def begin_pass(self, state: Any, reading: PassReading) -> Any:
+    def begin_pass(self, state: Any, reading: IntervalReading) -> Any:
         """Return the states of the method as an interval begins, which may open a pass."""
         passes = self.one.method.passes
         if reading.backward is None or passes is None:  # one pass
@@ -320,7 +320,7 @@ class TileRuns(NamedTuple):
         q = jax.vmap(self.one.spec.of_coarse_stage().program.attitude)(coarse_state)
         return after(self.params, self.site, q, copy_draws_to_runs(self.row, rotation))
 
-    def steps(self, reading: PassReading, number: Count) -> Steps:
+    def interval_steps(self, reading: IntervalReading, number: Count) -> Steps:
         """Return the effect of the samples of an interval on the state of all runs."""
         method, params, axis = self.one.method, self.params.method, self.site_axis
         site = stepping.site_of_pass(self.site, reading.backward)
@@ -358,7 +358,7 @@ class TileRuns(NamedTuple):
             any_triggered if triggered else None,
         )
 
-    def housing_turn(self, interval: Count, sensor_state: SensorState) -> Quat | None:
+    def vibrating_housing_rotation(self, interval: Count, sensor_state: SensorState) -> Quat | None:
         """Return the rotation from the housing to the base at the end of an interval.
 
         Leaves (draws,); None if the housing does not rotate.

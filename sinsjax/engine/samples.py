@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from sinsjax.engine.inputs import Draw, Environment, ProgramSpec, complete, map_draws
-from sinsjax.engine.stepping import Blocks, PassReading, accumulate_rotation, compensate_in_pass
+from sinsjax.engine.stepping import Blocks, IntervalReading, accumulate_rotation, compensate_in_pass
 from sinsjax.maths.algebra import select_tree
 from sinsjax.maths.rotations import exp_of_sample
 from sinsjax.strapdown import base_motion, disturbances, housing, sensors
@@ -119,7 +119,7 @@ class DrawSensors(NamedTuple):
         vibrating = state.housing
         if vibrating is not None and disturbed.housing is not None:
             rigid, lever = exact._replace(increments=moved), _lever_of_housing(whole)
-            vibrating, moved = housing.sense_in_housing(
+            vibrating, moved = housing.vibrate_housing(
                 vibrating, rigid, disturbed.housing, lever, place, dt
             )
         now = sensors.measure_increments(
@@ -218,7 +218,7 @@ class TileSensors(NamedTuple):
         most = max(1, min(SAMPLES_PER_BLOCK // self.draws.draw_id.size, samples))
         return max(n for n in range(1, most + 1) if samples % n == 0)
 
-    def interval_blocks(self, reading: PassReading, record: Increments | None = None) -> Blocks:
+    def interval_blocks(self, reading: IntervalReading, record: Increments | None = None) -> Blocks:
         """Return the compensated samples of an interval in blocks, leaves (block, draws).
 
         Args:

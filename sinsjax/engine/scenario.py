@@ -174,7 +174,7 @@ class Scenario:
             draws = range(self.study.n_draws) if draws is None else draws
             environment, drawn = _simulated_inputs(self.study, keys, draws, blank=blank)
         else:
-            environment, drawn = _recorded_inputs(self.study, keys, self.stored)
+            environment, drawn = _environment_and_draws_by_start_time(self.study, keys, self.stored)
         params = _run_params(self.study, keys)
         return Batch(self.specs[number], environment, drawn, params, keys.ids)
 
@@ -395,7 +395,7 @@ def start_samples(study: Study, rate_hz: float) -> np.ndarray:
     return np.round(np.asarray(study.record.start_s) * rate_hz).astype(int)
 
 
-def _recorded_inputs(
+def _environment_and_draws_by_start_time(
     study: Study, keys: Variants, stored: StoredRecord
 ) -> tuple[Environment, Draw]:
     """Return the environment and the draws of a record, one per start time, coarsely aligned.

@@ -31,7 +31,7 @@ from sinsjax.types import Array, Count, Flag, Increments, Quat, Sample, Scalar, 
 # Passes
 
 
-class PassReading(NamedTuple):
+class IntervalReading(NamedTuple):
     """The samples that one record interval reads.
 
     Their (n,) numbers in the record are in the order in which they are read. Backward they are one
@@ -44,16 +44,16 @@ class PassReading(NamedTuple):
     opens_pass: Flag | None = None  # whether it opens the second or a later pass; likewise
 
 
-def read_interval(interval: Count, pass_intervals: Count | None, every: int) -> PassReading:
+def order_samples(interval: Count, pass_intervals: Count | None, count: int) -> IntervalReading:
     """Return the samples of an interval, from 0; of a record read once if no pass has a length."""
     if pass_intervals is None:
-        return PassReading(interval * every + jnp.arange(every))
+        return IntervalReading(interval * count + jnp.arange(count))
     number, place = interval // pass_intervals, interval % pass_intervals
     opens_pass = (place == 0) & (number > 0)
     backward = number % 2 == 1
-    first = jnp.where(backward, (pass_intervals - place) * every - 2, place * every)
-    samples = first + jnp.where(backward, -1, 1) * jnp.arange(every)
-    return PassReading(samples, backward, opens_pass)
+    first = jnp.where(backward, (pass_intervals - place) * count - 2, place * count)
+    samples = first + jnp.where(backward, -1, 1) * jnp.arange(count)
+    return IntervalReading(samples, backward, opens_pass)
 
 
 def site_of_pass(site: Site, backward: Flag | None) -> Site:

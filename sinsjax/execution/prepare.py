@@ -29,7 +29,7 @@ from sinsjax.records.reference import StoredRecord
 from sinsjax.study.files import source_name
 from sinsjax.study.keys import COARSE_KEYS
 from sinsjax.study.load import load_study, with_rate
-from sinsjax.study.motion import data_end_s, read_attitude_file, unused_turn_warnings
+from sinsjax.study.motion import data_end_s, read_attitude_file, turn_ignoring_method_warnings
 from sinsjax.study.reset_schedules import NOISE_KEYS, noise_heading_sigma
 from sinsjax.study.rules import describe_idle_keys
 from sinsjax.study.study import Study
@@ -137,7 +137,7 @@ def check_and_annotate_job(job: Job, cost: Forecast) -> Job:
     forecast.check_resources(study.name, cost, job.directory if is_new else None)
     check_plugins(study, job.stored)
     if not study.is_recorded:
-        doubts = (*unused_turn_warnings(study), *iter_warnings_of_bands_below_noise(study))
+        doubts = (*turn_ignoring_method_warnings(study), *iter_warnings_of_bands_below_noise(study))
     if study.dropped_s:
         notes += (f"The last {study.dropped_s:g} s do not fill a record interval and are not run.",)
     return job._replace(warnings=doubts, notes=notes, forecast=cost)

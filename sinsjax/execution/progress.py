@@ -58,7 +58,7 @@ ProgressCallback = Callable[[RunProgress], None]
 
 
 @contextmanager
-def python_progress(
+def callback_or_progress_bar(
     name: str, shown: bool | None, on_progress: ProgressCallback | None = None
 ) -> Iterator[ProgressCallback | None]:
     """Yield the callback that shows the progress of a function of Python, after two seconds.

@@ -152,7 +152,7 @@ class Results:
             rows = self._whole if rows is None else self._whole & rows
         return self._parts.read(dataset, names, rows)
 
-    def distinct_variant_rows(self, names: Iterable[str]) -> pa.Table:
+    def rows_of_distinct_runs(self, names: Iterable[str]) -> pa.Table:
         """Return `rows` without duplicates: one variant of each set with the same runs.
 
         Keys without effect are null: without resets there is no cycle.

@@ -19,7 +19,7 @@ from sinsjax.engine.scenario import Scenario
 from sinsjax.errors import InputError, StudyInterrupted
 from sinsjax.execution.directory import Manifest
 from sinsjax.execution.prepare import issue_warnings, load_increments, prepare_job, refuse_external
-from sinsjax.execution.progress import ProgressCallback, RunProgress, python_progress
+from sinsjax.execution.progress import ProgressCallback, RunProgress, callback_or_progress_bar
 from sinsjax.execution.results import Results, read_summary
 from sinsjax.execution.store import DirectoryStore, locked_store
 from sinsjax.execution.tables import TableBuilder
@@ -181,7 +181,7 @@ def run_into(  # noqa: PLR0913
     options: dict[str, Any] = {"curves": curves, "chunk_runs": chunk_runs}
     options |= {"directory": path, "overwrite": overwrite, "resume": resume}
     job = issue_warnings(prepare_job(study, None, record, **options))
-    with python_progress(job.study.name, progress, on_progress) as show:
+    with callback_or_progress_bar(job.study.name, progress, on_progress) as show:
         run_job(job, executor=executor, on_progress=show, stop=stop)
     took_s = time.monotonic() - began
     return Results(job.study, took_s, directory=path, manifest=Manifest.read(path))
@@ -230,7 +230,7 @@ def _run_in_memory(
 ) -> Results:
     """Run a job in memory."""
     began, sink, runner = time.monotonic(), _MemorySink(), TaskRunner(job)
-    with python_progress(job.study.name, progress, on_progress) as show:
+    with callback_or_progress_bar(job.study.name, progress, on_progress) as show:
         _run_tasks(runner, sink, local_executor(), show, threading.Event())
     tables = {"summary": sink.table("summary").sort_by("run_id")}
     if "curves" in runner.schemas:

@@ -170,7 +170,7 @@ class TableBuilder:
         share, floor_share, steady_share = outcome.above_share
         errors = {
             **_error_values(outcome.last),
-            **self._settling_values(verdict, variant),
+            **self._settling_times(verdict, variant),
             "p_above_error_share": share,
             "p_above_floor_error_share": np.where(verdict.has_floor, floor_share, np.nan),
             "p_above_error_steady_share": steady_share,
@@ -233,7 +233,7 @@ class TableBuilder:
             values[name] = _to_column(array).cast(column.dtype)
         return values
 
-    def _settling_values(self, verdict: RunSuccess, variant: np.ndarray) -> dict[str, np.ndarray]:
+    def _settling_times(self, verdict: RunSuccess, variant: np.ndarray) -> dict[str, np.ndarray]:
         """Return the settling times of all bands, about bias floor and truth, by column."""
         values = {}
         for criterion, truth in ((FLOOR, False), (TRUTH, True)):

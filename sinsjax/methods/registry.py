@@ -92,7 +92,7 @@ def check_plugin(name: str, program: Program, params: Any, variants: int, site: 
     if any(np.shape(leaf)[:1] != (variants,) for leaf in jax.tree.leaves(params)):
         raise InputError(f"{name}: params must return one value per variant")
 
-    def first_sample(params: Any, nav: Navigation, sample: Sample) -> dict[str, Any]:
+    def returned_and_wanted_outputs(params: Any, nav: Navigation, sample: Sample) -> dict[str, Any]:
         state = program.init(params, nav)
         after = program.normalise(program.step(params, site, state, sample, nav.ve))
         if program.feedback is not None:
@@ -108,7 +108,7 @@ def check_plugin(name: str, program: Program, params: Any, variants: int, site: 
     q, unknown = Quat(*(zero,) * 4), AttitudeCovariance(*(zero,) * 6)
     nav, sample = Navigation(q, *(zero,) * 4), Sample(q, Vec3(*(zero,) * 3))
     of_run = jax.tree.map(lambda leaf: np.asarray(leaf)[0], params)
-    shapes = jax.eval_shape(first_sample, of_run, nav, sample)
+    shapes = jax.eval_shape(returned_and_wanted_outputs, of_run, nav, sample)
     for what, (returned, wanted) in shapes.items():
         if returned != wanted:
             texts = f"{shorten(str(returned), 300)}, expected {shorten(str(wanted), 300)}"

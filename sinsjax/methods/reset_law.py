@@ -256,7 +256,7 @@ def _schedule_from_segments(
     problem: ResetProblem, early_count: int, lengths_s: tuple[float, ...], error: float, band: float
 ) -> ResetSchedule:
     """Return the schedule of some early resets and segments, its resets at feedbacks."""
-    lengths_s = _lengthen_before_last_reset_for_surge(problem, lengths_s, error, band)
+    lengths_s = _lengthen_last_but_one_segment_for_surge(problem, lengths_s, error, band)
     early_s, lag_s = levelling_time(problem), 0.0
     if problem.feedback_s > early_s:
         lag_s = min(_LAG_SHARE * problem.feedback_s, _LAG_TAUS * problem.tau)
@@ -269,7 +269,7 @@ def _schedule_from_segments(
     return ResetSchedule(rounded, float(begin + sum(lengths_s)), lengths_s)
 
 
-def _lengthen_before_last_reset_for_surge(
+def _lengthen_last_but_one_segment_for_surge(
     problem: ResetProblem, segments: tuple[float, ...], error: float, band: float
 ) -> tuple[float, ...]:
     """Return the segments with a longer one before the last reset, if the surge requires it.

@@ -48,7 +48,7 @@ from sinsjax.methods.filters.keys import (
     FilterSection,
     ResetsSection,
     StateKind,
-    check_resets,
+    check_reset_times_and_schedules,
     has_trigger,
 )
 from sinsjax.methods.filters.loop import (
@@ -301,7 +301,7 @@ SURGE = _describe(
     source="`methods.sincos`",
     sections={"filter": FilterSection, "resets": ResetsSection, "surge": SurgeSection},
     params=surge_params,
-    rules=(check_no_trigger, check_resets),
+    rules=(check_no_trigger, check_reset_times_and_schedules),
     turning="many",
     step_s=25e-9,
     compile_s=9.0,

@@ -94,7 +94,7 @@ def _warn_if_jax_has_started_otherwise(devices: int | None) -> None:
     warnings.warn(text, machine.ConfigurationWarning, stacklevel=3)
 
 
-def start_backend() -> None:
+def start_jax_on_chosen_platform() -> None:
     """Start JAX's backend, or raise an `InputError` if ``JAX_PLATFORMS`` is not available."""
     import jax
 

@@ -93,7 +93,7 @@ def plot_belief(
         left.step(np.append(known[:1], known), below, label=label, **style)
         right.text(0.0, i - 0.2, label, color=colour, fontsize=8.5, va="center")
         for j, (mark, name) in enumerate(zip(_MARKS, shares.values(), strict=False)):
-            records, clusters = analysis.numeric_column(rows, name), analysis.cluster_by_draw(rows)
+            records, clusters = analysis.numeric_column(rows, name), analysis.draw_id_clusters(rows)
             value, low, high, _ = analysis.mean(records, clusters, limits=(0.0, 1.0))
             bar = np.maximum(np.nan_to_num([[value - low], [high - value]]), 0.0)
             place = i + 0.2 + 0.12 * (2 * j - len(shares) + 1)

@@ -93,7 +93,7 @@ def plot_map(
         raise InputError("plot_map: there are no runs")
     if len({rows, columns, *keys}) < len(keys) + 2:
         raise InputError("plot_map: rows, columns and by must be different keys")
-    name, compute, colours = _cell_label_function_and_colours(require_column(table, value), value)
+    name, compute, colours = _cell_label_statistic_and_colours(require_column(table, value), value)
     grid = Grid.from_table(table, keys, (rows,), (columns,))
     points = [dict(zip(keys, point, strict=True)) for point in grid.axes[tuple(keys)]]
     points, up, across = points[:MAX_PANELS], grid.axes[rows,], grid.axes[columns,]
@@ -138,7 +138,7 @@ def plot_map(
     return figure
 
 
-def _cell_label_function_and_colours(
+def _cell_label_statistic_and_colours(
     column: pa.ChunkedArray, name: str
 ) -> tuple[str, Callable[[NDArray], NDArray], str]:
     """The name of the statistic of a column, its function of (..., draws), and its colours."""

@@ -7,7 +7,7 @@ raises `InputError` with one line that names the file and the row, column or key
 
 from sinsjax.records.layout import PSINS_LAYOUT, Record, RecordLayout, check_layout, require_samples
 from sinsjax.records.reference import Reference, read_reference
-from sinsjax.records.sources import read_psins_text, read_record, record_from_arrays
+from sinsjax.records.sources import read_psins_counts, read_record, record_from_arrays
 
 __all__ = [
     "PSINS_LAYOUT",
@@ -15,7 +15,7 @@ __all__ = [
     "RecordLayout",
     "Reference",
     "check_layout",
-    "read_psins_text",
+    "read_psins_counts",
     "read_record",
     "read_reference",
     "record_from_arrays",

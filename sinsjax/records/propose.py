@@ -8,7 +8,7 @@ be answered before anything is aligned.
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
@@ -187,7 +187,7 @@ def propose_layout(table: Table, answers: Mapping[str, Any]) -> Proposal:
         raise InputError(f"{table.source}: {text}")
     _refuse_tagged_rows(table)
     proposal = Proposal(RecordLayout(table.format))
-    triads = {sensor: _find_triad(table, sensor, answers, proposal) for sensor in _SENSORS}
+    triads = {sensor: _find_triad_or_ask(table, sensor, answers, proposal) for sensor in _SENSORS}
     names = {f"{sensor}_columns": triad.names for sensor, triad in triads.items() if triad}
     clock = _propose_clock(table, answers, {*chain(*names.values())})
     fields: dict[str, Any] = {**names, **clock.fields}
@@ -230,7 +230,7 @@ def _read_means(table: Table, names: Sequence[str]) -> dict[str, float]:
     return dict(zip(names, means, strict=True))
 
 
-def _find_triad(
+def _find_triad_or_ask(
     table: Table, sensor: str, answers: Mapping[str, Any], proposal: Proposal
 ) -> Triad | None:
     """Return the columns of a sensor; None, and a question, if names do not tell."""
@@ -355,7 +355,7 @@ class _Clock(NamedTuple):
     questions: dict[str, str]
 
 
-def _propose_clock(table: Table, answers: Mapping[str, Any], taken: set[str]) -> _Clock:
+def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[str]) -> _Clock:
     """Return the first clock that names and steps of stamps tell, or one with a question."""
     kinds, given = table.kinds, answers.get("time_column")
     dates = [name for name, kind in kinds.items() if kind == "dates with time"]

@@ -89,7 +89,7 @@ class Table(NamedTuple):
             return InputError(f"{place}: column {name!r}: {text}")
 
         if _kind(column.type) != wanted_kind:
-            cells = (_kind(_to_typed(column.slice(k, 1)).type) for k in range(len(column)))
+            cells = (_kind(_numbers_or_dates(column.slice(k, 1)).type) for k in range(len(column)))
             k = next((k for k, found in enumerate(cells) if found != wanted_kind), 0)
             raise refuse(k, f"{shorten(str(column[k]), 24)!r} is not one of {wanted_kind}")
         if wanted_kind != "numbers":
@@ -106,7 +106,7 @@ def _kind(kind: pa.DataType) -> str:
     return "numbers" if kind == pa.float64() else "dates with time" if is_date else "text"
 
 
-def _to_typed(column: Any) -> Any:
+def _numbers_or_dates(column: Any) -> Any:
     """Return a column as numbers or dates with time, if all of its cells are such."""
     if pa.types.is_string(column.type):
         column = pc.utf8_trim_whitespace(column)
@@ -127,12 +127,12 @@ def _join(parts: list[pa.Array]) -> pa.ChunkedArray:
 
 def make_table(columns: Iterable[Any], names: Sequence[str]) -> pa.Table:
     """Return named columns of numbers, dates or text."""
-    return pa.Table.from_arrays([_to_typed(column) for column in columns], [*names])
+    return pa.Table.from_arrays([_numbers_or_dates(column) for column in columns], [*names])
 
 
 def is_number(text: str) -> bool:
     """Return whether a text is a number, or one of the words for none."""
-    return bool(text) and _kind(_to_typed(pa.array([text])).type) == "numbers"
+    return bool(text) and _kind(_numbers_or_dates(pa.array([text])).type) == "numbers"
 
 
 def open_log(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0) -> Table:
@@ -232,7 +232,7 @@ def open_text(path: str | Path, columns: Sequence[str] = (), skip_rows: int = 0)
     while batch := [*islice(left, _BATCH_ROWS)]:
         rows.extend(line.row for line in batch)
         for part, column in zip(parts, _split_batch(path, shape, batch).columns, strict=True):
-            part.extend(_to_typed(column).chunks)  # at once, as numbers need less memory than text
+            part.extend(_numbers_or_dates(column).chunks)  # at once: numbers need less memory
     return Table(
         str(path),
         make_table(map(_join, parts), shape.names),

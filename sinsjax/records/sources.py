@@ -38,7 +38,7 @@ def read_record(path: str | Path, layout: RecordLayout) -> Record:
         (200, 3)
     """
     if layout.format == "psins":
-        return read_psins_text(path, layout)
+        return read_psins_counts(path, layout)
     check_layout(layout, str(path))
     return record_from_table(layout, open_log(path, layout.columns, layout.skip_rows))
 
@@ -46,7 +46,7 @@ def read_record(path: str | Path, layout: RecordLayout) -> Record:
 _COUNT_COLUMNS = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accelerometer") for axis in "xyz")
 
 
-def read_psins_text(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
+def read_psins_counts(path: str | Path, layout: RecordLayout = PSINS_LAYOUT) -> Record:
     """Read a PSINS SIMU log: three header lines, then six integer counts per sample.
 
     The format of the PSINS toolbox (G. Yan, NWPU). Lines that start with % are comments. Header:

@@ -78,7 +78,7 @@ def _attitude_fact(source: Results, row: Mapping[str, Any]) -> Fact:
 
 def _level_error_facts(source: Results) -> Iterator[Fact]:
     """The error of pitch and roll from the truth or reference, and that there is no heading."""
-    table = source.distinct_variant_rows(["draw_id", "start_s", *_LEVEL_ERRORS])
+    table = source.rows_of_distinct_runs(["draw_id", "start_s", *_LEVEL_ERRORS])
     errors = np.concatenate([analysis.numeric_column(table, name) for name in _LEVEL_ERRORS])
     if np.isfinite(errors).any():
         clusters = np.tile(table["draw_id"].to_numpy(), len(_LEVEL_ERRORS))
@@ -123,7 +123,7 @@ def last_attitude_table(source: Results) -> Table:
     return Table("Attitude at the end", [name, *(_HEADERS[c][0] for c in columns)], lines)
 
 
-def attitude_table(source: Results) -> Table:
+def final_attitude_and_sigma_table(source: Results) -> Table:
     """Return the table of the final attitudes, run by run, with the filter's own 1 sigma."""
     keys, variants = ["start_s", *source.study.keys_shown], source.study.n_variants
     cells = [

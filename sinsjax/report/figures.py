@@ -44,7 +44,7 @@ def draw_figures(source: Results, outcome: SweepOutcome | None) -> Iterator[Pict
     others = [key for key in source.study.keys_shown if key not in axes]
     if len(axes) == 2:
         for criterion in source.success_measures:
-            yield from _two_axis_maps(outcome, criterion, axes, others)
+            yield from _settling_and_success_maps(outcome, criterion, axes, others)
     elif axes:
         yield _curves_along_axis(outcome, axes[0], others)
     yield from _filter_consistency_picture(source)
@@ -65,7 +65,7 @@ def _curves_over_time(source: Results) -> Iterator[Picture]:
     """Misalignment, or attitude, over time: the first few variants."""
     keys = source.study.keys_shown
     floor = () if source.study.is_recorded else ("floor_arcmin",)  # a record's biases are unknown
-    table = source.distinct_variant_rows([*keys, "run_id", "reset_times_s", *floor])
+    table = source.rows_of_distinct_runs([*keys, "run_id", "reset_times_s", *floor])
     runs = select_runs_by_line(table, keys)
     curves = source.read_curves(run for ids in runs.values() for run in ids)
     if curves.num_rows == 0:
@@ -92,7 +92,7 @@ def _count_points(table: Any, keys: Sequence[str]) -> int:
     return sum(1 for _ in analysis.group_rows(table.select(keys), keys))
 
 
-def _two_axis_maps(
+def _settling_and_success_maps(
     outcome: SweepOutcome, criterion: SuccessMeasure, axes: Sequence[str], by: Sequence[str]
 ) -> Iterator[Picture]:
     """Yield the maps by a criterion of success, which frame the option that the verdict names."""
@@ -156,7 +156,7 @@ def _filter_consistency_picture(source: Results) -> Iterator[Picture]:
         few = (keys for keys, values in study.axes_shown.items() if len(values) <= MAX_LINES)
         by = next(few, ())
     columns = (*NEES_COLUMNS, *SHARE_COLUMNS.values(), "draw_id", "start_s")
-    table = source.distinct_variant_rows((*by, *columns))
+    table = source.rows_of_distinct_runs((*by, *columns))
     from_floor = excludes_biases(source)
     if not np.isfinite(analysis.numeric_column(table, NEES_COLUMNS[from_floor])).any():
         return

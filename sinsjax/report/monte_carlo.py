@@ -18,7 +18,7 @@ from sinsjax.analysis.labels import (
 from sinsjax.analysis.summaries import REQUIRED_COLUMNS
 from sinsjax.columns import report_time_columns
 from sinsjax.execution.results import Results
-from sinsjax.report.attitude import attitude_table
+from sinsjax.report.attitude import final_attitude_and_sigma_table
 from sinsjax.report.document import MAX_ROWS, Report, Table
 from sinsjax.report.figures import describe_intervals, draw_figures
 from sinsjax.report.verdict import build_short_report, find_outcome
@@ -49,7 +49,7 @@ def build_report(
     study, outcome = source.study, find_outcome(source)
     tables, notes, keys = [], [], study.keys_shown
     if with_tables and (study.is_recorded or outcome is None):
-        tables.append(attitude_table(source))
+        tables.append(final_attitude_and_sigma_table(source))
     if with_tables and outcome:
         parts: list[Sequence[str]] = [keys]
         if study.n_variants > MAX_ROWS:
@@ -126,7 +126,7 @@ def statistics_table(source: Results, keys: Sequence[str]) -> Table:
         _Column("heading error at the end, rms (arcmin)", f"{_END}_rms", format_heading_error),
         _Column(drift, "phi_u_from_floor_arcmin_mean", format_estimate, True),
     ]
-    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *success_columns(study)])
+    table = source.rows_of_distinct_runs([*keys, *REQUIRED_COLUMNS, *success_columns(study)])
     names = [column.name for column in columns[1:]]
     groups = analysis.estimate_groups(table, keys, names).groups
     start, end = study.study.window_s
@@ -141,7 +141,7 @@ def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
         report_time_columns(t)[0].name: f"{t:g} s" for t in source.study.study.report_times_s or ()
     }
     times[_END] = "the end"
-    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *times])
+    table = source.rows_of_distinct_runs([*keys, *REQUIRED_COLUMNS, *times])
     names = [f"{column}_{end}" for column in times for end in ("rms", "abs_q90")]
     groups = analysis.estimate_groups(table, keys, names).groups
     rows = [
@@ -165,7 +165,7 @@ def comparison_table(source: Results) -> Table:
     The first variant of all is the reference if the options of the conditions differ.
     """
     keys, measures = source.study.keys_shown, source.success_measures
-    table = source.distinct_variant_rows([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
+    table = source.rows_of_distinct_runs([*keys, *REQUIRED_COLUMNS, *success_columns(source.study)])
     conditions = [key for key in keys if is_condition_key(key)]
     options = [key for key in keys if key not in conditions]
     parts = [rows for _, rows in analysis.group_rows(table, conditions)]

@@ -178,7 +178,7 @@ def _landscape(tuning: TuningResults) -> Iterator[Picture]:
         if result.best.candidate == number
     ]
     for other in (other for other in (LAW, "baseline") if other in tuning.case_numbers):
-        if (values := space.locate(tuning.case(other), combination)) is not None:
+        if (values := space.values_of_case(tuning.case(other), combination)) is not None:
             marked.append(Points(SEARCH_LABELS[other], np.array([values]), np.array([np.nan])))
     caption = f"Points of the search {name!r} with their objective on the tuning draws"
     caption += "; lines: the descents, of the relaxed objective" if ways else ""

@@ -72,7 +72,7 @@ def driving_noise(
 
 def initial_states(disturbances: Disturbances, seed: Count, draw_id: Count) -> Disturbances:
     """Return the states of one draw's processes before its first sample."""
-    normal = processes.initial_normal_numbers(seed, draw_id, _triads(disturbances))
+    normal = processes.standard_normals_for_initial_states(seed, draw_id, _triads(disturbances))
     return _map_present(processes.initial_state, disturbances, _by_process(normal))
 
 

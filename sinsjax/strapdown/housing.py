@@ -73,7 +73,7 @@ def start_housing(
     return HousingState(turn, _velocity_over_rigid_base(motion, turn, lever, base_rate), none, none)
 
 
-def sense_in_housing(
+def vibrate_housing(
     state: HousingState,
     sensed: IdealSample,
     motion: HousingMotion,

@@ -219,7 +219,7 @@ def driving_noise(
     return {t: Vec3(*(a[i].astype(float) for a in axes)) for i, t in enumerate(triads)}
 
 
-def initial_normal_numbers(
+def standard_normals_for_initial_states(
     seed: Count, draw_id: Count, triads: tuple[int, ...]
 ) -> dict[int, State]:
     """Return standard normal numbers for the states of a draw's processes before its first sample.

@@ -59,21 +59,22 @@ def apply_changes(tables: Mapping[str, Any], changes: Mapping[str, Any]) -> Toml
     result: TomlTable = copy_tables(tables)
     places: dict[str, str] = {}  # by key
     for place, value in changes.items():
-        dropped = _change_value(result, place, copy_tables(value), places)
+        dropped = _set_value_and_drop_alternatives(result, place, copy_tables(value), places)
         if dropped and isinstance(changes, SetOptions):
             _print_warning_once(f"--set {place} replaces {', '.join(dropped)}.")
     return result
 
 
-def _change_value(tables: TomlTable, place: str, value: Any, places: dict[str, str]) -> list[str]:
+def _set_value_and_drop_alternatives(
+    tables: TomlTable, place: str, value: Any, places: dict[str, str]
+) -> list[str]:
     """Change a value in tables, and return the alternatives to it that were there."""
     *above, name = place.split(".")
     table: Any = tables
     is_drop = value == {}
-    if not is_drop and place != "cases":
-        if not (above and all(above) and name):
-            hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
-            raise InputError(f"{place}: must name a section and a key ({hint})")
+    if not (is_drop or place == "cases" or (above and all(above) and name)):
+        hint = f"{SECTION_OF[place]}.{place}" if place in SECTION_OF else _EXAMPLE
+        raise InputError(f"{place}: must name a section and a key ({hint})")
     for part in above:
         if isinstance(table, dict):
             table = table.get(part) if is_drop else table.setdefault(part, {})

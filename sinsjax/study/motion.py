@@ -112,7 +112,7 @@ def check_turns(study: Study) -> None:
             study.refuse(*error.args)
 
 
-def unused_turn_warnings(study: Study) -> Iterator[str]:
+def turn_ignoring_method_warnings(study: Study) -> Iterator[str]:
     """Yield one line per method of the study that cannot use its turns."""
     useless, end_s = dict[str, str](), data_end_s(study)
     for point in _turned_points(study, "method"):

@@ -111,7 +111,7 @@ class SearchSpace:
             result[TIMES] = result[TIMES][: result.pop(COUNT)]
         return {key: self._round_times(key, value) for key, value in result.items()}
 
-    def locate(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
+    def values_of_case(self, case: TomlTable, combination: TomlTable) -> list[float] | None:
         """Return the values in a case of the variables that a combination uses.
 
         None if the case has other candidates, another number of entries, or a value out of range.

@@ -305,7 +305,7 @@ class _Reader:
         for key, value in given.items():
             with self.errors.collect():
                 if key != "case" or table != "[cases]":
-                    self._check_key(table, how, key)
+                    self._refuse_key_that_cannot_vary(table, how, key)
                 found[key] = read(value, key, f"{table} {key}")
         return found
 
@@ -327,7 +327,7 @@ class _Reader:
             _check_distinct(list(zip(*joint.values(), strict=True)), f"{table} {', '.join(joint)}")
         return joint
 
-    def _check_key(self, table: str, how: str, key: str) -> None:
+    def _refuse_key_that_cannot_vary(self, table: str, how: str, key: str) -> None:
         """Refuse a key that is unknown, cannot vary like this or is in another table too."""
         section, possible, recorded = SECTION_OF.get(key), _VARYING[how], "record" in self.tables
         if section is None:

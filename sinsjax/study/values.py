@@ -178,8 +178,7 @@ def _apply_distribution(law: Distribution, points: np.ndarray) -> np.ndarray:
     if law.uniform:
         low, high = law.uniform
         return low + (high - low) * points
-    # Slow to import, as above.
-    from scipy.special import ndtri
+    from scipy.special import ndtri  # slow to import, as above
 
     mean, deviation = law.normal or (0.0, 0.0)
     return mean + deviation * ndtri(points)

@@ -16,7 +16,7 @@ from sinsjax.execution import directory as places
 from sinsjax.execution import forecast
 from sinsjax.execution.directory import STUDY, DamagedError
 from sinsjax.execution.prepare import check_and_annotate_job, issue_warnings, load_job
-from sinsjax.execution.progress import python_progress
+from sinsjax.execution.progress import callback_or_progress_bar
 from sinsjax.execution.run import RunProgress
 from sinsjax.execution.tasks import Job
 from sinsjax.platform.files import unwritable_message, write_file
@@ -73,7 +73,7 @@ def tune(
     given: dict[str, Any] = {"directory": directory, "overwrite": overwrite, "resume": resume}
     job = issue_warnings(prepare_tuning(study, None, record, **given))
     name = job.study.name
-    run_tuning(job, lambda stage: python_progress(f"{name}: {stage}", progress), stop)
+    run_tuning(job, lambda stage: callback_or_progress_bar(f"{name}: {stage}", progress), stop)
     return TuningResults(directory)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles.in_engine import dense, navigation, place
 from oracles.naive import DEG, WGS84, exp, updates
 
-from sinsjax.engine.stepping import read_interval
+from sinsjax.engine.stepping import order_samples
 from sinsjax.methods import zero_velocity
 from sinsjax.strapdown import earth, mechanisation
 from sinsjax.types import Vec3
@@ -27,7 +27,7 @@ def test_every_stored_sample_is_read_once_per_pass(stored: int, every: int, reco
     """Forward in order, backward in reverse; each is compensated with the one before it."""
     paired, before, turns = [], -1, []
     for record in range(records):
-        read = read_interval(jnp.asarray(record), jnp.asarray(stored), every)
+        read = order_samples(jnp.asarray(record), jnp.asarray(stored), every)
         turns += [bool(read.opens_pass)] + [False] * (every - 1)
         for now in map(int, read.samples):
             later, earlier = (before, now) if read.backward else (now, before)

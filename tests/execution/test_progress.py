@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from sinsjax.cli import running
-from sinsjax.execution.progress import RunProgress, python_progress, show_progress
+from sinsjax.execution.progress import RunProgress, callback_or_progress_bar, show_progress
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -59,7 +59,7 @@ def test_python_shows_progress_on_request_or_calls_back(capsys, monkeypatch):
     calls = []
     for callback, after_s in ((calls.append, 0.0), (None, 60.0), (None, 0.0)):
         monkeypatch.setattr("sinsjax.execution.progress._PYTHON_AFTER_S", after_s)
-        with python_progress("swing", True, callback) as show:
+        with callback_or_progress_bar("swing", True, callback) as show:
             show(RunProgress(1000, 2000, 3, 0))
     assert len(calls) == 1
     assert capsys.readouterr().err == "swing: 1,000 of 2,000 runs, 3 failed\n"

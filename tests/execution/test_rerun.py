@@ -16,7 +16,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution.run import repeat_run, rerun_stored_run
 from sinsjax.execution.tables import replace_column
 from sinsjax.execution.tasks import Job
-from sinsjax.records import PSINS_LAYOUT, read_psins_text
+from sinsjax.records import PSINS_LAYOUT, read_psins_counts
 from sinsjax.records.reference import StoredRecord
 
 pytestmark = [pytest.mark.usefixtures("drawn_on_request"), pytest.mark.optimised(False)]
@@ -48,7 +48,7 @@ def test_rerun_and_resume_of_recorded_runs_need_the_same_record(tmp_path):
     write_psins(stored.record._replace(dv=stored.record.dv * 1.01), other)
     axes = {"phi_u0_deg": [0.0, 3.0], "reset_times_s": [[], [1.0]]}
     study = recorded_study(study=SHORT, record={"start_s": [0.0, 0.5]}, axes=axes)
-    package.run_into(study, out, StoredRecord(read_psins_text(path, PSINS_LAYOUT), None))
+    package.run_into(study, out, StoredRecord(read_psins_counts(path, PSINS_LAYOUT), None))
     with pytest.raises(InputError, match="contains results of another record or reference"):
         package.run_into(study, out, stored, resume=True)
     with pytest.raises(InputError, match=r"needs a record \(give it with --record\)"):

@@ -86,7 +86,7 @@ def simulate(base, them, samples):
         (states, state), (driven, ideal) = carry, inputs
         states, disturbed = disturbances.advance_processes(them, states, driven, DT)
         rigid = ideal._replace(increments=disturbances.add_surge(ideal, disturbed, HERE, DT))
-        state, made = housing.sense_in_housing(state, rigid, disturbed.housing, lever, HERE, DT)
+        state, made = housing.vibrate_housing(state, rigid, disturbed.housing, lever, HERE, DT)
         return (states, state), (jnp.stack(jax.tree.leaves(made)), moving(states)[1])
 
     numbers = jnp.arange(samples)

@@ -13,7 +13,7 @@ import sinsjax as package
 from sinsjax import InputError
 from sinsjax.execution.prepare import prepare_job
 from sinsjax.study.load import fingerprint
-from sinsjax.study.motion import unused_turn_warnings
+from sinsjax.study.motion import turn_ignoring_method_warnings
 
 pytestmark = [pytest.mark.optimised(False), pytest.mark.usefixtures("drawn_on_request")]
 
@@ -66,7 +66,7 @@ def test_turns_repeat_until_the_end_and_the_last_keeps_its_rate():
 )
 def test_methods_that_do_not_use_turns_are_named(method, motion, warned):
     study = small_study(motion=motion, alignment={"method": method, "phi_u0_deg": 0.0})
-    lines = list(unused_turn_warnings(study))
+    lines = list(turn_ignoring_method_warnings(study))
     assert len(lines) == warned
     assert all(line.startswith(f"[alignment] method: {method} does not") for line in lines)
 

@@ -391,7 +391,7 @@ def reset_key_without_gradient(study: StudyKeys, *, smoothed: bool) -> str | Non
 # Rules
 
 
-def check_resets(study: StudyKeys) -> None:
+def check_reset_times_and_schedules(study: StudyKeys) -> None:
     """Refuse resets after the end, at the start, or two at one sample."""
     points = [*study.combinations(*RESET_KEYS, "schedule")] if study.has("resets") else []
     names = sorted({point["schedule"] for point in points})

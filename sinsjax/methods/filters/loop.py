@@ -29,7 +29,7 @@ from sinsjax.methods.filters.keys import (
     ProcessNoise,
     ResetsSection,
     StateKind,
-    check_resets,
+    check_reset_times_and_schedules,
 )
 from sinsjax.methods.filters.triggers import TriggerParams
 from sinsjax.methods.method import (
@@ -209,7 +209,7 @@ def closed_loop(states: Sequence[StateKind], filter_: Filter, options: Options) 
     fired = None if trigger is None else triggers.fired
     return Program(
         init=loop.init,
-        step=loop.step,
+        step=loop.update_filter,
         attitude=filter_.attitude,
         covariance=filter_.covariance,
         results=loop.results,
@@ -242,7 +242,7 @@ class _ClosedLoop(NamedTuple):
             state = state._replace(trigger_state=started)
         return state
 
-    def step(self, params: Any, site: Site, before: Any, sample: Sample, n: Scalar) -> Any:
+    def update_filter(self, params: Any, site: Site, before: Any, sample: Sample, n: Scalar) -> Any:
         dt, here = self.options.dt, self.options.place(site, before.nav)
         if self.filter.correct is not None:
             sample = self.filter.correct(before, sample)
@@ -347,7 +347,7 @@ def filter_method(
         "reads": LOOP_KEYS,
         "without_effect": BIAS_KEYS,
         "turning": "none",
-        "rules": (check_resets,),
+        "rules": (check_reset_times_and_schedules,),
         "columns": FILTER_COLUMNS,
     }
     return Method(

@@ -155,7 +155,7 @@ class Solution(NamedTuple):
     change: Scalar  # length of the last pass's change of the unknowns, in sigma
 
     @classmethod
-    def before_data(cls, params: FitParams, zero: Scalar) -> "Solution":
+    def of_unknown_attitude(cls, params: FitParams, zero: Scalar) -> "Solution":
         """Return that before the first fit: no attitude, no errors."""
         none, off, all_round = zero + jnp.nan, zero, zero + UNKNOWN_ANGLE
         return cls(
@@ -176,7 +176,7 @@ def solve(
     """Fit attitude and biases to the first ``count`` blocks, at least 2, of (most, `NUMBERS`)."""
     first = Block.of_row(blocks[0]).dv
     zero = jnp.zeros_like(first.x)
-    solution = Solution.before_data(params, zero)
+    solution = Solution.of_unknown_attitude(params, zero)
     triads = jax.tree.map(lambda sigma: zero, params.sigmas())
     guess = _Guess(_level_attitude(first), (zero + 1, zero), *triads)
     model = block_noise_model(params.noise, place.gravity, length_s)

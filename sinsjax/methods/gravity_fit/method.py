@@ -74,10 +74,10 @@ def build(options: method.Options) -> method.Program:
         zero = jnp.zeros_like(nav.ve)
         one, still = Quat(zero + 1, zero, zero, zero), Vec3(zero, zero, zero)
         blank = jnp.zeros((most, NUMBERS)) + zero
-        solution = Solution.before_data(params, zero)
+        solution = Solution.of_unknown_attitude(params, zero)
         return FitState(nav, one, still, still, still, still, zero, blank, solution)
 
-    def step(
+    def add_sample_to_block(
         params: Any, site: method.Site, state: FitState, sample: Sample, n: Scalar
     ) -> FitState:
         dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
@@ -141,7 +141,7 @@ def build(options: method.Options) -> method.Program:
 
     return method.Program(
         init=init,
-        step=step,
+        step=add_sample_to_block,
         attitude=attitude,
         covariance=covariance,
         normalise=normalise,
@@ -284,7 +284,7 @@ COLUMNS = (
 )
 
 
-def _check_blocks_and_noise_keys(study: method.StudyKeys) -> None:
+def _refuse_long_blocks_or_missing_noise(study: method.StudyKeys) -> None:
     """Refuse long blocks, records without beliefs about sensors, sensors without white noise."""
     required = ("fit_gyro_bias_deg_per_h", "fit_accel_bias_ug", *_NOISE)
     simulated = (*_NOISE, *(key for noise in _NOISE.values() for key in noise.white))
@@ -316,7 +316,7 @@ GRAVITY_FIT = method.Method(
     params=params,
     needs_start=False,
     turning="any",
-    rules=(_check_blocks_and_noise_keys,),
+    rules=(_refuse_long_blocks_or_missing_noise,),
     columns=COLUMNS,
     step_s=10e-9,
     compile_s=8.5,
