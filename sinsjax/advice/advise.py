@@ -39,6 +39,7 @@ SOURCES = {
     "accel_walk": Source("accelerometer random walk", "accel_rrw_ug_per_sqrt_h"),
     "gyro_quantisation": Source("gyro quantisation", "gyro_quantisation_arcsec"),
     "accel_quantisation": Source("accelerometer quantisation", "accel_quantisation_um_per_s"),
+    "swing": Source("gyro quantisation at the end of the lever arm", "gyro_quantisation_arcsec"),
     "surge": Source("surge of the base", "surge_m_per_s"),
     "lever_arm": Source("lever arm", "lever_arm_m"),
     "shaking": Source("vibration", "vibration_ug_rms"),
@@ -52,7 +53,7 @@ SOURCES = {
 _FIT, _FILTER = "gravity_fit", "kalman_surge"
 
 _UNMODELLED = {
-    _FIT: ("gyro_quantisation", "accel_quantisation", "shaking", "accel_scale"),
+    _FIT: ("gyro_quantisation", "accel_quantisation", "swing", "shaking", "accel_scale"),
     _FILTER: tuple(SOURCES.keys() - {"gyro_noise", "accel_noise", "surge"}),
 }
 """Sources of errors for which a method has no unknowns."""

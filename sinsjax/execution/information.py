@@ -45,7 +45,7 @@ from sinsjax.study.load import load_study
 from sinsjax.study.schema import keys_acting_as
 from sinsjax.study.study import Study
 from sinsjax.types import Array
-from sinsjax.units import ARCMIN
+from sinsjax.units import ARCMIN, ARCSEC
 
 _CONSTANT_KEYS = keys_acting_as("bias", "distortion")
 """Keys of the sensors' constant errors."""
@@ -124,7 +124,24 @@ def budget_problem(study: Study) -> HeadingProblem:
         level = np.hypot(arm[0], arm[1]) / np.sqrt(2)
         arms = np.diag([level, level, arm[2]])
         step = BLOCK_S if any(map(np.any, (arm, *quanta))) else step
+        problem = _with_swing_by_rounded_rates(problem, arm, quanta[0])
     return replace(problem, lever_arms=arms[arms.any(axis=1)], longest_step_s=step)
+
+
+def _with_swing_by_rounded_rates(problem: HeadingProblem, arm: Any, arcsec: Any) -> HeadingProblem:
+    """Return a problem with the velocity that an arm makes of the rounding of a last increment.
+
+    `gravity_fit` takes the swing of the arm at the end of a block from the last sample alone, whose
+    rate errs by two remainders over its length. The velocity is known to so much, not summed.
+    """
+    rate, arms = np.sqrt(2) * np.broadcast_to(arcsec, 3) * ARCSEC / problem.dt, np.diag(arm)
+    swing = np.sqrt(np.square(np.cross(arms, rate * np.eye(3)[:, None])).sum(axis=(0, 1)))
+    if not swing.any():
+        return problem
+    error = IncrementError(rounding_process(swing), ACCEL, rounded=True)
+    return replace(
+        problem, increment_errors=lambda step: {**problem.increment_errors(step), "swing": error}
+    )
 
 
 def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False) -> HeadingProblem:
