@@ -308,8 +308,8 @@ def test_step_length_has_little_influence():
     assert bound(59.98, motion(), MEMS, dt=0.02) == pytest.approx(bound(60.0, motion(), MEMS), 0.01)
 
 
-def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
-    """The remainder of a rounded angle is carried on in axes that turn meanwhile."""
+def rounded_sheet(**changes):
+    """The problem of a sheet with rounded angles on a base that turns."""
     sheet = {
         "earth": {"latitude_deg": 48.0},
         "sensors": {
@@ -322,7 +322,12 @@ def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
             "turn_rate_deg_per_s": 20.0,
         },
     }
-    problem = sheet_problem(read_sheet(sheet))
+    return sheet_problem(read_sheet(sheet, changes=changes))
+
+
+def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
+    """The remainder of a rounded angle is carried on in axes that turn meanwhile."""
+    problem = rounded_sheet()
     fine, coarse = (
         sum(
             heading_variances(
@@ -332,3 +337,13 @@ def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
         for step in (0.1, 1.0)
     )
     assert np.sqrt(coarse) == pytest.approx(np.sqrt(fine), rel=0.005)
+
+
+def test_rounded_rates_at_the_end_of_an_arm_are_a_rounded_velocity():
+    """Of the level axes for an arm along the vertical, by two remainders over a sample."""
+    quantum = np.sqrt(2) * 10.0 * DEG / 3600 / 0.01 * 2.0
+    other = {"sensors.accel_quantisation_um_per_s": [1e6 * quantum, 1e6 * quantum, 0.0]}
+    sources = ("gyro_quantisation", "accel_quantisation", "swing")
+    problem = rounded_sheet(**other, **{"motion.lever_arm_m": [0.0, 0.0, 2.0]})
+    found = heading_variances([100.0], problem, sources)
+    assert found["swing"] == pytest.approx(found["accel_quantisation"], rel=1e-9) and found["swing"]
