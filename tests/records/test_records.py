@@ -70,10 +70,8 @@ def test_psins_reader_applies_scale_header_and_axes_order(tmp_path):
     np.testing.assert_allclose(record.dtheta, np.array([[-3, 0, 4], [1, -1, 1]]) * scale, 1e-14)
     np.testing.assert_allclose(record.dv, np.array([[0, 2, 83], [10, 20, 30]]) * ug_s, 1e-14)
     assert record[2:7] == (100.0, 5.0, 34.2, 380.0, 9.780327)
-    turned = records.read_psins_counts(
-        path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0)
-    )
-    np.testing.assert_array_equal(turned.dv, record.dv[:, [1, 0, 2]] * [1, -1, 1])
+    moved = records.read_psins_counts(path, RecordLayout("psins", axes_order="y-xz", rate_hz=100.0))
+    np.testing.assert_array_equal(moved.dv, record.dv[:, [1, 0, 2]] * [1, -1, 1])
 
 
 # --- mistakes
