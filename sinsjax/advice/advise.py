@@ -365,7 +365,7 @@ def advise(
     choice, budget, sigmas = _expected_sigmas(given, problem, times_s)
     errors = np.transpose([*map(rms_and_q95_of_noisy_direction, sigmas)]) / ARCMIN
     headings = tuple(map(Heading, times_s, *errors.tolist()))
-    known = replace(problem, lever_arms=np.zeros((0, 3)))
+    known = sheet_problem(scale_source(given, "lever_arm", 0.0))
     sigma, (bound,) = float(sigmas[times_s.index(asked_s)]), heading_bound([asked_s], known)
     unmodelled = _UNMODELLED[choice.method]
     turns = None if given.is_turned else compare_turns(problem, asked_s, unmodelled)
