@@ -2,7 +2,7 @@
 
     python -m docs.studies.advise_sheets docs/tables/advise_sheets.csv      # an hour on two cores
 
-A row is a figure that `sinsjax advise` prints, beside the rms of 1,024 draws of the study that it
+A row is a figure that `sinsjax advise` prints, next to the rms of 1,024 draws of the study that it
 writes. Sheets whose rows are in the file are not run again.
 """
 
