@@ -132,6 +132,7 @@ def errors(cases, samples):
         yield rigid_body.angle_between(q, q_true[:, 1:]).max(), np.abs(v - v_true[:, 1:]).max()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("rocks", [0, 1])
 def test_increments_of_all_combinations_give_the_truth_over_a_minute(rocks) -> None:
     """Angles within a fifteenth of what 900 s may have, velocities within a fifth.
