@@ -382,7 +382,8 @@ def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[s
             fields |= {"time_fraction_column": others[0], "time_fraction_unit": units[others[0]]}
         elif units[name] != "iso" and "time_unit" not in answers:
             steps = np.diff(stamps[name][np.isfinite(stamps[name])])
-            step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+            steps = steps[steps > 1e-12]  # a picosecond: less is no time in any unit
+            step = float(np.median(steps)) if steps.size else 1.0
             rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
             possible = [u for u, hz in rates.items() if _POSSIBLE_HZ[0] <= hz <= _POSSIBLE_HZ[1]]
             fields["time_unit"] = units[name] or (possible or ["s"])[0]

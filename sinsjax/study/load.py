@@ -145,9 +145,10 @@ def _read_study(data: TomlTable, name: str) -> Study:
         for section, table in tables.items()
         if section in SECTIONS
     }
-    tables_of_keys = {key: f"[{section}]" for section, keys in given.items() for key in keys}
+    table_of = {key: f"[{name}]" for name in given for key in tables[name]}
     with errors.collect():
-        refuse_exclusive_keys(tables_of_keys | sweep.table_of)
+        refuse_exclusive_keys(table_of)  # also those of which each case has one
+        refuse_exclusive_keys(table_of | sweep.table_of)
     defaults = values_of_omitted_keys(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)

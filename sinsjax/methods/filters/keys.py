@@ -108,7 +108,8 @@ class ProcessNoise(NamedTuple):
         scale = values["q_scale"] or 1.0
         for form, factor in self.forms.items():
             if values[form] is not None:
-                per_step = q_unit_factors(1 / rate_hz)[values["q_reading"]]
+                # A study without a reading is refused, by a rule that comes after its schedules.
+                per_step = q_unit_factors(1 / rate_hz)[values["q_reading"] or "psd"]
                 return (values[form] * factor) ** 2 * per_step * rate_hz * scale
         return self.white_density(rate_hz, values) ** 2 * scale
 
