@@ -31,7 +31,7 @@ from sinsjax.records.layout import (
     to_body_axes,
 )
 from sinsjax.records.reader import MIN_COLUMNS, Table
-from sinsjax.records.tabular import combine_times, find_sampling
+from sinsjax.records.tabular import SHORTEST_STEP, combine_times, find_sampling
 from sinsjax.units import DEG, DEG_PER_H, STANDARD_GRAVITY
 
 _SENSOR_WORDS = (
@@ -382,7 +382,7 @@ def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[s
             fields |= {"time_fraction_column": others[0], "time_fraction_unit": units[others[0]]}
         elif units[name] != "iso" and "time_unit" not in answers:
             steps = np.diff(stamps[name][np.isfinite(stamps[name])])
-            steps = steps[steps > 1e-12]  # a picosecond: less is no time in any unit
+            steps = steps[steps > SHORTEST_STEP]
             step = float(np.median(steps)) if steps.size else 1.0
             rates = {unit: 1 / (step * TIME_UNITS[unit]) for unit in ("s", "ms", "us", "ns")}
             possible = [u for u, hz in rates.items() if _POSSIBLE_HZ[0] <= hz <= _POSSIBLE_HZ[1]]

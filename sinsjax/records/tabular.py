@@ -29,6 +29,7 @@ from sinsjax.records.layout import (
 )
 from sinsjax.records.reader import MISSING_TEXT, Table
 
+SHORTEST_STEP = 1e-12  # in any unit: less is a stamp that repeats
 _CATCH_UP_S = 0.1  # longest time for which stamps are late
 _AVERAGED_STEPS = 8  # of which some may be late
 _MAX_MISSING_FACTOR = 10  # times the samples present; a larger gap is a set clock
@@ -69,8 +70,8 @@ def find_sampling(
         raise InputError(f"{place}: {row}: {problem}, {format_step(time_s, k)} ({hint})")
 
     step_s = np.diff(time_s)
-    if step_s.min() <= 0:
-        k = int((step_s <= 0).argmax())
+    if step_s.min() < SHORTEST_STEP:
+        k = int((step_s < SHORTEST_STEP).argmax())
         refuse(k, "time runs backward" if step_s[k] < 0 else "time repeats")
     clean_s = _gapless_steps(time_s)  # whose mean averages out the rounding of the stamps
     rate = resolve_rate(
