@@ -243,13 +243,14 @@ def test_increments_tell_their_unit_once_the_rate_is_known(body, tmp_path):
         (1.0, 1.0, 0.0, "no axis is near the vertical"),
         (np.nan, 1.0, 1.0, "no column has times"),
         (0.0, 1.0, 1.0, "time repeats"),
+        (1e-320, 1.0, 1.0, "time repeats"),
         (1e6, 1.0, 1.0, "named as s, but its steps"),
     ],
 )
 @pytest.mark.filterwarnings("error")
 def test_log_that_tells_nothing_is_a_question_or_a_line(time, gyro, accel, told, body, tmp_path):
-    rates, forces = in_axes(body, "flu")
-    path = write(tmp_path / "log.csv", [TIME * time, gyro * rates, accel * forces], UNITS)
+    rates, forces = np.array(in_axes(body, "flu")) * [[[gyro]], [[accel]]]
+    path = write(tmp_path / "log.csv", [TIME * time, rates, forces], UNITS)
     try:
         text = " ".join(make_study_text(path, Path("x.toml")).replace("\n#  ", "").split())
     except InputError as error:

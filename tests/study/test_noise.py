@@ -94,6 +94,7 @@ def test_given_q_is_read_in_its_unit(filter_, accel, gyro):
 filter = {q_accel_ug = 500.0, q_gyro_deg_per_h = 0.1}
     -> [filter] q_reading: required q_accel_ug q_gyro_deg_per_h 'psd' 'per_sample' 'per_step'
 axes.q_gyro_deg_per_h = [0.1, 0.2]           -> [filter] q_reading: required q_gyro_deg_per_h
+filter.q_accel_ug = 1.0 & resets.schedule = "law"         -> [filter] q_reading: required q_accel_ug
 filter = {q_reading = "psd", q_gyro_deg_per_h = 1.0, q_gyro_deg_per_h_per_sqrt_hz = 0.18}
     -> [filter] q_gyro_deg_per_h: q_gyro_deg_per_h_per_sqrt_hz [filter]
 filter.q_gyro_arw_deg_per_sqrt_h = 0.1 & axes.q_reading = ["psd", "per_sample"]

@@ -130,6 +130,9 @@ compass = {sigma_factors = [2, 1], sigma_times_s = [400]} & axes.passes = [1, 2]
     & passes.stored_s = 80 -> [compass] sigma_times_s: 400 160
 compass.azimuth_damping = 0.6 & axes.azimuth_gains = [[1.0, 2.0, 3.0, 4.0]]
     -> [compass] azimuth_damping: azimuth_gains
+compass = {level_gains = [1.0, 2.0, 3.0], level_sigma_per_s = 1.0}
+    & cases = [{case = "a", level_gains = [3.0, 2.0, 1.0]}, {case = "b"}]
+    -> [compass] level_gains: level_sigma_per_s [compass]
 axes = {level_gains = [[1.0, 2.0, 3.0]], level_damping = [0.6, 0.7]}
     -> [axes] level_damping: level_gains
 axes = {sigma_factors = [[1.0], [2.0, 1.0]], sigma_times_s = [[], [100.0]]}
