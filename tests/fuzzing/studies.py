@@ -98,7 +98,8 @@ def _edit_study(draw: st.DrawFn, data: dict[str, Any]) -> None:
     elif kind == "tuned":
         tune = data.setdefault("tune", {"searches": ["sobol"]})
         name = draw(st.sampled_from(["variables", "variables", "baseline"]))
-        tune.setdefault(name, {})[key] = _draw_law(draw, place)
+        table = tune.get(name)  # what a mistake put there has no keys
+        tune[name] = (table if isinstance(table, dict) else {}) | {key: _draw_law(draw, place)}
     else:
         _remove_key(data, place)
         values = draw(st.lists(value_strategy(place), min_size=1, max_size=4))
