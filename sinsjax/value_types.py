@@ -37,7 +37,7 @@ Effect = Literal["sway", "noise", "bias", "distortion", "quantum", "process", "p
 class KeyInfo(NamedTuple):
     """Properties of a study key in addition to its type and meaning.
 
-    It is written in the `field` of a key, or in the annotation of its type; the outermost value of
+    It is written in `key_field`, or in the annotation of a type; the outermost value of
     each attribute counts.
 
     Attributes:
@@ -88,7 +88,7 @@ class KeyCondition(NamedTuple):
         return any(self.acts(*(point[key] for key in self.given)) for point in points)
 
 
-def field(meaning: str, default: Any = None, /, **properties: Any) -> Any:
+def key_field(meaning: str, default: Any = None, /, **properties: Any) -> Any:
     """Return the field of a key, whose name ends in its unit.
 
     Args:

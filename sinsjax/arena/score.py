@@ -173,7 +173,7 @@ def _read_attitudes_and_form(
     return GivenAttitudes(present, Quat(*q), covariance), "quaternions" if quaternions else "angles"
 
 
-def _read_table_and_first_row_number(path: Path, digest: str) -> tuple[pa.Table, int]:
+def _read_table_and_first_row_number(path: Path, study_digest: str) -> tuple[pa.Table, int]:
     """Read the known columns of a file, and the number of their first row."""
     try:
         content = read_regular_file(path.resolve())
@@ -200,9 +200,9 @@ def _read_table_and_first_row_number(path: Path, digest: str) -> tuple[pa.Table,
         text = f"lacks {', '.join(missing)} in its first line (as in initial.csv; see README.txt)"
         raise InputError(f"{path}: {text}")
     found = [str(text) for text in table["study"].unique().to_pylist()]
-    if found != [digest]:
+    if found != [study_digest]:
         shown = shorten(to_one_line(", ".join(found) or "none"), 40)
-        text = f"is of another study: digest {shown} there, {digest} exported"
+        text = f"is of another study: digest {shown} there, {study_digest} exported"
         raise InputError(f"{path}: {text} (column 'study')")
     return table, first_row
 

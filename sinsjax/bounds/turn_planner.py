@@ -190,12 +190,12 @@ def compare_turns(
         unmodelled: sources of errors without unknowns, see `bounds.estimator`.
     """
     options = []
-    for name, motion in _iter_turn_options(duration_s):
-        turning = partial(_turn_base, problem, motion, duration_s)
-        base = replace(problem, motion=turning) if motion else problem
+    for name, turn_keys in _iter_turn_options(duration_s):
+        turning = partial(_turn_base, problem, turn_keys, duration_s)
+        base = replace(problem, motion=turning) if turn_keys else problem
         variances = heading_variances([duration_s], base, unmodelled)
         sigma = math.sqrt(sum(float(part[0]) for part in variances.values()))
-        options.append(TurnOption(name, sigma / ARCMIN, motion))
+        options.append(TurnOption(name, sigma / ARCMIN, turn_keys))
     return TurnChoice(tuple(options))
 
 
@@ -251,14 +251,14 @@ def _turn_keys(times_s: list[float], angles_deg: list[float], rate: float) -> di
 
 
 def _turn_base(
-    problem: HeadingProblem, motion: dict[str, Any], end_s: float, times_s: np.ndarray
+    problem: HeadingProblem, turn_keys: dict[str, Any], end_s: float, times_s: np.ndarray
 ) -> BaseMotion:
-    """Return the motion of a base that turns as well, by keys of [motion]."""
+    """Return the motion of a base that turns as well, by keys of [motion] as of `_turn_keys`."""
     angle, speed = np.zeros_like(times_s), np.zeros_like(times_s)
-    rate, ramp = motion["turn_rate_deg_per_s"], _RAMP_S
-    for again in np.arange(0.0, end_s, motion.get("turn_repeat_s", end_s)):
-        for begin, whole in zip(motion["turn_times_s"], motion["turn_angles_deg"], strict=True):
-            for sign, start in ((1, begin + again), (-1, begin + again + abs(whole) / rate)):
+    rate, ramp = turn_keys["turn_rate_deg_per_s"], _RAMP_S
+    for again in np.arange(0.0, end_s, turn_keys.get("turn_repeat_s", end_s)):
+        for t0, whole in zip(turn_keys["turn_times_s"], turn_keys["turn_angles_deg"], strict=True):
+            for sign, start in ((1, t0 + again), (-1, t0 + again + abs(whole) / rate)):
                 x = np.clip((times_s - start) / ramp, 0, 1)
                 factor = sign * math.copysign(rate, whole) * DEG
                 path = ramp * x**4 * (2.5 - 3 * x + x * x) + np.maximum(times_s - start - ramp, 0)

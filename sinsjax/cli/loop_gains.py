@@ -63,11 +63,11 @@ def _loop_row(name: str, sigma: float, damping: float, roots: Any) -> list[str]:
     return [name, _format_roots(roots), f"{math.log(20) / sigma:.4g}", f"{period:.4g}"]
 
 
-def _format_roots(found: Any) -> str:
+def _format_roots(roots: Any) -> str:
     """Return the roots, conjugate pairs together, with the multiplicity of double ones."""
-    size = max(map(abs, found))
+    size = max(map(abs, roots))
     # Double roots are found to half of the digits only.
-    rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in found]
+    rounded = [(round(r.real / size, 6), round(r.imag / size, 6)) for r in roots]
     upper = sorted(root for root in rounded if root[1] >= 0)
     texts = []
     for real, imag in dict.fromkeys(upper):

@@ -324,7 +324,7 @@ def rerun_stored_run(
     if files[0] is None and (study.is_recorded or files[1] is not None):
         raise InputError(f"{directory}: its study needs a record (give it with --record)")
     record = None if files[0] is None else load_increments(study, files[0], files[1])
-    if manifest.identity != Job(study, record, extended_at=manifest.extended_at).identity:
+    if manifest.identity != Job(study, record, extended_at=manifest.extended_at).input_hash:
         raise InputError(f"{directory}: the results are of another record or reference")
     stored = read_summary(directory, run_ids=[run_id])
     if stored.num_rows != 1:

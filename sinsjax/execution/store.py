@@ -63,7 +63,7 @@ def continue_job(job: Job) -> Job:
     job = job._replace(
         curves=manifest.curves, chunk_runs=manifest.chunk_runs, extended_at=tuple(sorted(ends))
     )
-    if manifest.identity != job.identity:
+    if manifest.identity != job.input_hash:
         raise InputError(f"{job.directory}: contains results of another record or reference")
     return job
 
@@ -113,7 +113,7 @@ class DirectoryStore:
     def __init__(self, job: Job, session: Mapping[str, Any]) -> None:
         """Continue the results in a locked directory, or begin new ones."""
         assert job.directory is not None
-        self._job, self._directory, self._identity = job, job.directory, job.identity
+        self._job, self._directory, self._input_hash = job, job.directory, job.input_hash
         self._facts, self._done, self._next_manifest = dict(session), dict[str, Task](), 0.0
         before = Manifest.find(job.directory) if job.resume else None
         if before:
@@ -138,7 +138,7 @@ class DirectoryStore:
                 content = read_regular_file(self._part_path(dataset, task))
             except (OSError, InputError):
                 return False
-            expected = part_metadata(self._job, self._identity, dataset, task)
+            expected = part_metadata(self._job, self._input_hash, dataset, task)
             if read_part_metadata(content) != expected:
                 return False
         return True
@@ -173,7 +173,7 @@ class DirectoryStore:
             "schema": columns.SCHEMA_VERSION,
             "state": state,
             "fingerprint": fingerprint(study),
-            "identity": self._identity,
+            "identity": self._input_hash,
             "seed": study.seed,
             "runs": study.n_draws * study.n_variants,
             "runs_done": sum(task.runs for task in self._done.values()),
@@ -197,7 +197,7 @@ def write_table(job: Job, summary: pa.Table) -> None:
     """Write a summary that was made elsewhere as the results of a job without curves."""
     rows = (("summary", len(summary)),)
     task = Task("part-0000-000000", 0, (0, job.study.n_draws), 0, len(summary), rows)
-    content = to_sealed_parquet(summary, part_metadata(job, job.identity, "summary", task))
+    content = to_sealed_parquet(summary, part_metadata(job, job.input_hash, "summary", task))
     with locked_store(job, runtime.describe_environment()) as store:
         store.missing_tasks([task])
         store.add_result(TaskResult(task, {"summary": content}, 0))

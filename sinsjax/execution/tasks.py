@@ -58,8 +58,8 @@ class Job(NamedTuple):
     forecast: Forecast | None = None  # expected runs, time, memory and disk space
 
     @property
-    def identity(self) -> str:
-        """Hash of everything that determines the rows: the study and its record, as hex digits.
+    def input_hash(self) -> str:
+        """Hash of study, record and reference, as hex digits, whatever the version of sinsjax.
 
         An extension of the study does not change it.
         """
@@ -95,16 +95,16 @@ class TaskResult(NamedTuple):
     failures: int  # runs that diverged or became non-finite
 
 
-def part_metadata(job: Job, identity: str, dataset: str, task: Task) -> dict[str, str]:
+def part_metadata(job: Job, input_hash: str, dataset: str, task: Task) -> dict[str, str]:
     """Return the metadata of a part of a job, without time or host, which would change its bytes.
 
-    The identity is the job's, which takes a while to compute.
+    The job's `input_hash` is given, as it takes a while to compute.
     """
     chunk: dict[str, Any] = {"dataset": dataset, **task._asdict()}
     chunk |= {"rows": dict(task.rows)[dataset], "chunk_runs": job.chunk_runs}
     if before := [end for end in job.extended_at if end <= task.draws[0]]:
         chunk["extended_at"] = before
-    return {STUDY_METADATA: identity, CHUNK_METADATA: json.dumps(chunk)}
+    return {STUDY_METADATA: input_hash, CHUNK_METADATA: json.dumps(chunk)}
 
 
 class TaskRunner:
@@ -113,7 +113,7 @@ class TaskRunner:
     def __init__(self, job: Job) -> None:
         """Check that a job can be run, by making its first batch."""
         require_floor(job.study)
-        self.job, self.identity = job, job.identity
+        self.job, self.input_hash = job, job.input_hash
         self._scenario = scenario = Scenario(job.study, job.stored, curves=job.curves)
         self._tables = TableBuilder(job.study, has_truth=scenario.has_truth, curves=scenario.curves)
         self.schemas = self._tables.schemas
@@ -182,7 +182,7 @@ class TaskRunner:
         failed = pc.is_in(content["summary"]["status"], pa.array(columns.FAILED))
         if self.job.directory is not None:
             for name, table in content.items():
-                metadata = part_metadata(self.job, self.identity, name, task)
+                metadata = part_metadata(self.job, self.input_hash, name, task)
                 content[name] = to_sealed_parquet(table, metadata)
         return TaskResult(task, content, pc.sum(failed).as_py() or 0)
 

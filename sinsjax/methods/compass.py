@@ -37,7 +37,7 @@ from sinsjax.value_types import (
     SecondsOrZero,
     Section,
     Times,
-    field,
+    key_field,
 )
 
 PAPER_DAMPING = math.sqrt(0.5)
@@ -56,29 +56,29 @@ class CompassSection(Section):
         for loop in _LOOPS
     )
 
-    level_sigma_per_s: Bandwidth | None = field(
+    level_sigma_per_s: Bandwidth | None = key_field(
         "decay rate sigma of the levelling loop", default=0.02
     )
-    level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = field(
+    level_gains: Annotated[tuple[Finite, Finite, Finite], _GAIN] | None = key_field(
         "gains instead of sigma: velocity damping K1 (1/s), platform rate K2 (transport rates),"
         " velocity integral K3 (rad/(m s))"
     )
-    level_damping: Damping = field("damping ratio of the levelling loop", PAPER_DAMPING)
-    level_time_s: SecondsOrZero | None = field(
+    level_damping: Damping = key_field("damping ratio of the levelling loop", PAPER_DAMPING)
+    level_time_s: SecondsOrZero | None = key_field(
         "levelling of both channels before the azimuth loop", default=150.0, time="s"
     )
-    azimuth_sigma_per_s: Bandwidth | None = field(
+    azimuth_sigma_per_s: Bandwidth | None = key_field(
         "decay rate sigma of the azimuth loop", default=0.01
     )
-    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = field(
+    azimuth_gains: Annotated[tuple[Finite, Finite, Finite, Finite], _GAIN] | None = key_field(
         "gains instead of sigma: K1 and K2 as in level_gains; K3 (1/(m s^2)) and K4 (1/s) of the"
         " azimuth control K3 / (omega_N (s + K4))"
     )
-    azimuth_damping: Damping = field("damping ratio of the azimuth loop", PAPER_DAMPING)
-    sigma_factors: Factors = field(
+    azimuth_damping: Damping = key_field("damping ratio of the azimuth loop", PAPER_DAMPING)
+    sigma_factors: Factors = key_field(
         "factors on the azimuth sigma in intervals, the first from the start", (1.0,)
     )
-    sigma_times_s: Times = field(
+    sigma_times_s: Times = key_field(
         "start times of the later intervals of sigma_factors", (), whole="sample", time="s"
     )
 

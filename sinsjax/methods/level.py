@@ -23,7 +23,7 @@ from sinsjax.methods import method
 from sinsjax.methods.floors import BiasFloor, MeanBiases, bias_floor
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Flag, Navigation, Quat, Sample, Scalar, Vec3
-from sinsjax.value_types import AccelSigma, Section, field
+from sinsjax.value_types import AccelSigma, Section, key_field
 
 CORRELATION_S = 1.0
 """Time over which noise and vibration count as correlated, far above that of white noise, s."""
@@ -32,7 +32,7 @@ CORRELATION_S = 1.0
 class LevelSection(Section):
     """[level]: assumption of accelerometer levelling."""
 
-    level_accel_bias_ug: AccelSigma = field(
+    level_accel_bias_ug: AccelSigma = key_field(
         "accelerometer bias assumed in the 1 sigma of pitch and roll", 5000.0
     )
 

@@ -68,7 +68,7 @@ from sinsjax.methods.method import (
 from sinsjax.strapdown import mechanisation
 from sinsjax.strapdown.earth import Place
 from sinsjax.types import Flag, Navigation, Quat, Scalar, Vec3
-from sinsjax.value_types import Seconds, Section, SpeedSigma, field
+from sinsjax.value_types import Seconds, Section, SpeedSigma, key_field
 
 STATES = (VELOCITY, VELOCITY, LEVEL, LEVEL, DIRECTION, DIRECTION)
 VE, VN, TILT_E, TILT_N, SINE, VERSINE = range(6)
@@ -264,8 +264,8 @@ def _update_with_surge(params: Any, state: Any) -> tuple[Any, Innovation]:
 class SurgeSection(Section):
     """[surge]: assumed surge of the base."""
 
-    r_surge_m_per_s: SpeedSigma = field("rms velocity along east and north", 0.1)
-    r_surge_time_s: Seconds = field("correlation time of the velocity", 5.0)
+    r_surge_m_per_s: SpeedSigma = key_field("rms velocity along east and north", 0.1)
+    r_surge_time_s: Seconds = key_field("correlation time of the velocity", 5.0)
 
 
 def surge_params(keys: StudyKeys, xp: Any) -> FilterParams:

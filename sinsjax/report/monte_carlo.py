@@ -59,7 +59,7 @@ def build_report(
         tables += [heading_error_table(source, part) for part in parts]
         tables += [statistics_table(source, part) for part in parts]
         if 1 < study.n_variants <= MAX_ROWS and source.draws > 1:
-            tables.append(comparison_table(source))
+            tables.append(paired_difference_table(source))
         if text := outcome.held_out_settling_and_agreement[0]:
             end = "(each half of the draws chooses for the other)"
             notes.append(f"{text[0].upper()}{text[1:]} {end}.")
@@ -159,7 +159,7 @@ def heading_error_table(source: Results, keys: Sequence[str]) -> Table:
     return found.shortened(MAX_ROWS * len(times))
 
 
-def comparison_table(source: Results) -> Table:
+def paired_difference_table(source: Results) -> Table:
     """Return the difference of each variant from the first under the same conditions, by draw.
 
     The first variant of all is the reference if the options of the conditions differ.

@@ -18,7 +18,7 @@ from sinsjax.value_types import (
     Effect,
     KeyCondition,
     Section,
-    field,
+    key_field,
     key_info,
     require_unique,
     rule_error,
@@ -28,27 +28,27 @@ from sinsjax.value_types import (
 class StudySection(Section):
     """[study]: settings of all runs, which cannot be swept."""
 
-    name: vt.Name = field("name in reports and manifests", ..., otherwise="the file's stem")
-    duration_s: vt.Seconds = field("length of each run, with passes and a stage of [coarse]", ...)
+    name: vt.Name = key_field("name in reports and manifests", ..., otherwise="the file's stem")
+    duration_s: vt.Seconds = key_field("length of a run, with passes and a stage of [coarse]", ...)
     # None only in a recorded study before its record is read, see `load.with_rate`.
-    rate_hz: vt.Positive = field(
+    rate_hz: vt.Positive = key_field(
         "sensor sample rate. Required unless a record has time stamps, which it must match",
         cast(float, None),
         usual_range=(1e-3, 1e6),
     )
-    record_interval_s: vt.Seconds = field(
+    record_interval_s: vt.Seconds = key_field(
         "interval of the record times for settling times, statistics and curves", 1.0
     )
-    draws: Annotated[vt.Count, Field(ge=1)] | None = field(
+    draws: Annotated[vt.Count, Field(ge=1)] | None = key_field(
         "Monte Carlo draws; the maximum with [stop_when]. A record has one per start time",
         in_simulation=64,
     )
-    estimate: Literal["draws"] = field("how errors are found: 'draws', Monte Carlo", "draws")
-    seed: int = field("random seed", 1, ge=0, lt=2**63)
-    settle_bands_arcmin: vt.Bands = field(
+    estimate: Literal["draws"] = key_field("how errors are found: 'draws', Monte Carlo", "draws")
+    seed: int = key_field("random seed", 1, ge=0, lt=2**63)
+    settle_bands_arcmin: vt.Bands = key_field(
         "half-widths of the heading bands for settling times", (60.0, 10.0, 3.0)
     )
-    window_s: tuple[vt.NonNegative, vt.Positive] = field(
+    window_s: tuple[vt.NonNegative, vt.Positive] = key_field(
         "start and end of the window for error means and deviations",
         otherwise="the last third of the duration",
         default_factory=lambda given: (
@@ -57,41 +57,41 @@ class StudySection(Section):
         ),
         usual_range=(0, 1e8),
     )
-    consistency_after_s: vt.SecondsOrZero = field(
+    consistency_after_s: vt.SecondsOrZero = key_field(
         "time after which p_above_error_share and p_above_floor_error_share count", 10.0
     )
-    steady_after_s: vt.SecondsOrZero = field(
+    steady_after_s: vt.SecondsOrZero = key_field(
         "time after which p_above_error_steady_share counts", 300.0
     )
-    curves: bool = field("whether a sweep stores errors at record times in `curves/`", False)
-    judged_from: Literal["truth", "floor"] | None = field(
+    curves: bool = key_field("whether a sweep stores errors at record times in `curves/`", False)
+    judged_from: Literal["truth", "floor"] | None = key_field(
         "reference for success: 'truth' (true north, or that of a record) or 'floor'",
         otherwise="'truth'",
     )
-    success_band_arcmin: vt.Band | None = field(
+    success_band_arcmin: vt.Band | None = key_field(
         "largest final heading error of a successful run", otherwise=10.0
     )
-    level_band_arcmin: vt.Band | None = field(
+    level_band_arcmin: vt.Band | None = key_field(
         "largest final level error of a successful run, without that of accelerometer biases",
         otherwise=10.0,
     )
-    dwell_s: vt.SecondsOrZero | None = field(
+    dwell_s: vt.SecondsOrZero | None = key_field(
         "uninterrupted final time in the heading band that success requires",
         otherwise="the smaller of 30 s and a tenth of the run",
     )
-    diverged_deg: vt.AngleSigma | None = field(
+    diverged_deg: vt.AngleSigma | None = key_field(
         "final heading error from the bias floor (truth without one) above which an unsuccessful"
         " run diverged",
         otherwise=10.0,
     )
-    report_times_s: vt.ReportTimes | None = field(
+    report_times_s: vt.ReportTimes | None = key_field(
         "times of heading error, sigma and NEES in the summary, from the first sample",
         otherwise="none",
     )
-    unchecked: bool | None = field(
+    unchecked: bool | None = key_field(
         "whether to accept values outside their usual ranges", otherwise="false"
     )
-    external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = field(
+    external: Annotated[tuple[vt.Name, ...], AfterValidator(require_unique)] | None = key_field(
         "programs whose results `sinsjax score` stored in the study's directory", otherwise="none"
     )
 
@@ -119,22 +119,22 @@ class EarthSection(Section):
         ),
     )
 
-    earth: Literal["constants", "wgs84"] = field(
+    earth: Literal["constants", "wgs84"] = key_field(
         "'constants': sphere with constant gravity, the next three keys, valid only here. 'wgs84':"
         " ellipsoid with normal gravity",
         "constants",
     )
-    gravity_m_per_s2: vt.Positive | None = field("gravity", default=9.8, usual_range=(9, 10.5))
-    radius_m: vt.Positive | None = field(
+    gravity_m_per_s2: vt.Positive | None = key_field("gravity", default=9.8, usual_range=(9, 10.5))
+    radius_m: vt.Positive | None = key_field(
         "radius of the sphere", default=6378137.0, usual_range=(6e6, 7e6)
     )
-    earth_rate_deg_per_h: vt.Positive | None = field(
+    earth_rate_deg_per_h: vt.Positive | None = key_field(
         "Earth rotation rate", default=15.041067, usual_range=(10, 20)
     )
-    latitude_deg: vt.Elevation | None = field(
+    latitude_deg: vt.Elevation | None = key_field(
         "latitude, positive north. Required in a simulation, and if a record's header lacks it"
     )
-    height_m: vt.Finite | None = field(
+    height_m: vt.Finite | None = key_field(
         "height above the ellipsoid or sphere",
         otherwise="that in the record's header, or 0",
         in_simulation=0.0,
@@ -171,7 +171,7 @@ def _rotates(turn_times_s: Any, attitude_file: Any, *amplitudes: Any) -> bool:
 def _error(acts_as: vt.Effect, largest: float, meaning: str) -> Any:
     """Return the field of a disturbance or an error, with the largest usual size of MEMS."""
     least = -largest if acts_as in ("bias", "distortion") else 0
-    return field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
+    return key_field(meaning, 0.0, usual_range=(least, largest), acts_as=acts_as)
 
 
 class MotionSection(Section):
@@ -211,50 +211,50 @@ class MotionSection(Section):
         ),
     )
 
-    pitch_center_deg: vt.Elevation = field("mean pitch, positive front up", 0.0)
-    pitch_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
-    pitch_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
-    pitch_phase_deg: vt.Angle = field("phase", 0.0)
-    roll_center_deg: vt.HalfTurn = field("mean roll, positive right side down", 0.0)
-    roll_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
-    roll_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
-    roll_phase_deg: vt.Angle = field("phase", 0.0)
-    yaw_center_deg: vt.Angle | None = field(
+    pitch_center_deg: vt.Elevation = key_field("mean pitch, positive front up", 0.0)
+    pitch_amplitude_deg: vt.Amplitude = key_field("amplitude", 0.0)
+    pitch_period_s: vt.Period = key_field("period", 10.0, otherwise="required with an amplitude")
+    pitch_phase_deg: vt.Angle = key_field("phase", 0.0)
+    roll_center_deg: vt.HalfTurn = key_field("mean roll, positive right side down", 0.0)
+    roll_amplitude_deg: vt.Amplitude = key_field("amplitude", 0.0)
+    roll_period_s: vt.Period = key_field("period", 10.0, otherwise="required with an amplitude")
+    roll_phase_deg: vt.Angle = key_field("phase", 0.0)
+    yaw_center_deg: vt.Angle | None = key_field(
         "mean yaw, counter-clockwise from north (minus heading). Required in a simulation without"
         " attitude_file"
     )
-    yaw_amplitude_deg: vt.Amplitude = field("amplitude", 0.0)
-    yaw_period_s: vt.Period = field("period", 10.0, otherwise="required with an amplitude")
-    yaw_phase_deg: vt.Angle = field("phase", 0.0)
-    lever_arm_m: vt.Vector = field(
+    yaw_amplitude_deg: vt.Amplitude = key_field("amplitude", 0.0)
+    yaw_period_s: vt.Period = key_field("period", 10.0, otherwise="required with an amplitude")
+    yaw_phase_deg: vt.Angle = key_field("phase", 0.0)
+    lever_arm_m: vt.Vector = key_field(
         "lever arm (right, front, up) to the sensors from the centre of sway on the turn axis",
         0.0,
         usual_range=(-300, 300),
     )
-    turn_times_s: vt.EventTimes | None = field(
+    turn_times_s: vt.EventTimes | None = key_field(
         "start times of turns from the first sample, rounded to whole samples",
         otherwise="no turns",
         time="s",
     )
-    turn_angles_deg: vt.Numbers | None = field(
+    turn_angles_deg: vt.Numbers | None = key_field(
         "turn angles, positive counter-clockwise from above, one or per turn; 1e6 for a carousel",
         otherwise=180.0,
         usual_range=(-1e8, 1e8),
     )
-    turn_rate_deg_per_s: vt.Positive | None = field(
+    turn_rate_deg_per_s: vt.Positive | None = key_field(
         "turn rate, adjusted to whole samples per turn", otherwise=10.0, usual_range=(1e-3, 3600)
     )
-    turn_ramp_s: vt.Positive | None = field(
+    turn_ramp_s: vt.Positive | None = key_field(
         "time to reach the turn rate, and to stop", otherwise=1.0, usual_range=(1e-3, 1e3)
     )
-    turn_repeat_s: vt.Seconds | None = field(
+    turn_repeat_s: vt.Seconds | None = key_field(
         "interval at which turns repeat until the end", otherwise="no repetition"
     )
-    turn_axis: Literal["vertical", "body"] | None = field(
+    turn_axis: Literal["vertical", "body"] | None = key_field(
         "'vertical': the vehicle turns. 'body': a turntable on it turns the sensors about z",
         otherwise="'vertical'",
     )
-    attitude_file: vt.Name | None = field(
+    attitude_file: vt.Name | None = key_field(
         "file instead of angles and turns: time_s, pitch_deg, roll_deg and yaw_deg or heading_deg,"
         " without noise, for cubic splines. Cannot be swept",
         otherwise="none",
@@ -262,15 +262,15 @@ class MotionSection(Section):
     surge_m_per_s: vt.NoisePerAxis = _error(
         "process", 10.0, "rms velocity of surge, random motion about a place, along east, north, up"
     )
-    surge_time_s: vt.Period = field(
+    surge_time_s: vt.Period = key_field(
         "correlation time of the surge velocity", 5.0, acts_as="process_shape"
     )
-    surge_bandwidth_hz: vt.Bandwidth = field(
+    surge_bandwidth_hz: vt.Bandwidth = key_field(
         "surge bandwidth, which limits acceleration; only for 'third_order'",
         1.0,
         acts_as="process_shape",
     )
-    surge_model: Literal["third_order", "gauss_markov"] = field(
+    surge_model: Literal["third_order", "gauss_markov"] = key_field(
         "'third_order': finite variances of position, velocity and acceleration. 'gauss_markov':"
         " first-order Gauss-Markov velocity; acceleration grows with sample rate",
         "third_order",
@@ -281,10 +281,10 @@ class MotionSection(Section):
     vibration_deg_per_h_rms: vt.NoisePerAxis = _error(
         "process", 1e6, "angular vibration of the sensors' housing, whose attitude is the truth"
     )
-    vibration_hz: vt.Bandwidth = field(
+    vibration_hz: vt.Bandwidth = key_field(
         "undamped natural frequency of vibration", 30.0, acts_as="process_shape"
     )
-    vibration_damping: vt.Damping = field(
+    vibration_damping: vt.Damping = key_field(
         "damping ratio of vibration", 0.05, acts_as="process_shape"
     )
 
@@ -311,14 +311,14 @@ class SensorsSection(Section):
     )
 
     gyro_bias_deg_per_h: vt.Vector = _error("bias", 1e5, "constant bias, measured minus true")
-    gyro_noise_deg_per_h: vt.NoisePerAxis | None = field(
+    gyro_noise_deg_per_h: vt.NoisePerAxis | None = key_field(
         _WHITE, otherwise="no noise", usual_range=(0, 1e5), acts_as="noise"
     )
-    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = field(
+    gyro_arw_deg_per_sqrt_h: vt.NoisePerAxis | None = key_field(
         _WALK, usual_range=(0, 3), acts_as="noise", alternative_to="gyro_noise_deg_per_h"
     )
     gyro_instability_deg_per_h: vt.NoisePerAxis = _error("process", 1e3, _INSTABILITY)
-    gyro_instability_time_s: vt.Period = field(
+    gyro_instability_time_s: vt.Period = key_field(
         "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
     gyro_rrw_deg_per_h_per_sqrt_h: vt.NoisePerAxis = _error("process", 1e3, _RATE_WALK)
@@ -326,14 +326,14 @@ class SensorsSection(Section):
     gyro_scale_ppm: vt.Vector = _error("distortion", 1e5, "scale factor error")
     gyro_misalignment_arcsec: vt.CrossAxis = _error("distortion", 1e5, _CROSS_AXIS)
     accel_bias_ug: vt.Vector = _error("bias", 5e5, "constant bias, measured minus true")
-    accel_noise_ug: vt.NoisePerAxis | None = field(
+    accel_noise_ug: vt.NoisePerAxis | None = key_field(
         _WHITE, otherwise="no noise", usual_range=(0, 1e6), acts_as="noise"
     )
-    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = field(
+    accel_vrw_ug_per_sqrt_hz: vt.NoisePerAxis | None = key_field(
         _WALK, usual_range=(0, 5e3), acts_as="noise", alternative_to="accel_noise_ug"
     )
     accel_instability_ug: vt.NoisePerAxis = _error("process", 2e4, _INSTABILITY)
-    accel_instability_time_s: vt.Period = field(
+    accel_instability_time_s: vt.Period = key_field(
         "correlation time of the bias instability", 300.0, acts_as="process_shape"
     )
     accel_rrw_ug_per_sqrt_h: vt.NoisePerAxis = _error("process", 2e4, _RATE_WALK)
@@ -373,33 +373,33 @@ class AlignmentSection(Section):
 
     conditions = (KeyCondition(("misalignment",), _ANGLES, _has_rotation),)
 
-    method: MethodName = field(f"see `sinsjax keys METHOD` ({_METHODS})", "kalman5")
-    phi_e0_deg: vt.HalfTurn = field(f"initial misalignment about east; {_ROTATE}", 0.0)
-    phi_n0_deg: vt.HalfTurn = field(f"initial misalignment about north; {_ROTATE}", 0.0)
-    phi_u0_deg: vt.HalfTurn = field(
+    method: MethodName = key_field(f"see `sinsjax keys METHOD` ({_METHODS})", "kalman5")
+    phi_e0_deg: vt.HalfTurn = key_field(f"initial misalignment about east; {_ROTATE}", 0.0)
+    phi_n0_deg: vt.HalfTurn = key_field(f"initial misalignment about north; {_ROTATE}", 0.0)
+    phi_u0_deg: vt.HalfTurn = key_field(
         f"initial misalignment about up, the heading error; {_ROTATE}", 0.0
     )
-    misalignment: Literal["vector", "euler"] = field(
+    misalignment: Literal["vector", "euler"] = key_field(
         "'vector': a rotation vector. 'euler': successive rotations about up, east and north",
         "vector",
     )
-    ve0_m_per_s: vt.Speed = field(f"initial computed east velocity; {_AN_ERROR}", 0.0)
-    vn0_m_per_s: vt.Speed = field(f"initial computed north velocity; {_AN_ERROR}", 0.0)
-    position: Literal["fixed", "integrated"] = field(
+    ve0_m_per_s: vt.Speed = key_field(f"initial computed east velocity; {_AN_ERROR}", 0.0)
+    vn0_m_per_s: vt.Speed = key_field(f"initial computed north velocity; {_AN_ERROR}", 0.0)
+    position: Literal["fixed", "integrated"] = key_field(
         "'fixed': constant. 'integrated': latitude and longitude from computed velocity", "fixed"
     )
-    specific_force: Literal["measured", "gravity"] | None = field(
+    specific_force: Literal["measured", "gravity"] | None = key_field(
         "specific force in the error model. 'measured': accelerometer output in the computed"
         " attitude. 'gravity': that of a base at rest",
         default="measured",
     )
-    feedback_interval_s: vt.Seconds | None = field(
+    feedback_interval_s: vt.Seconds | None = key_field(
         "interval between feedbacks into the navigation solution",
         otherwise="one sample",
         whole="sample",
         time="s",
     )
-    feedback_time_constant_s: vt.SecondsOrZero | None = field(
+    feedback_time_constant_s: vt.SecondsOrZero | None = key_field(
         "time constant T: each feedback applies 1 - exp(-interval / T) of the estimate, all if T ="
         " 0",
         default=0.0,
@@ -414,32 +414,32 @@ class PassesSection(Section):
         KeyCondition(("turn_inflation",), ("turn_covariance",), lambda kind: kind == "inflated"),
     )
 
-    stored_s: vt.Seconds | None = field(
+    stored_s: vt.Seconds | None = key_field(
         "length of the stored record. Without it a run reads all data once, forward", whole="record"
     )
-    passes: Annotated[vt.Count, Field(ge=1)] | None = field(
+    passes: Annotated[vt.Count, Field(ge=1)] | None = key_field(
         "number of passes", otherwise="set by `ending`"
     )
-    ending: Literal["duration", "forward"] = field(
+    ending: Literal["duration", "forward"] = key_field(
         "end of a run without `passes`. 'duration': duration_s, even within a pass. 'forward': the"
         " last complete forward pass within it",
         "duration",
     )
-    turn: Literal["reflect", "velocity", "velocity_and_rate", "keep"] | None = field(
+    turn: Literal["reflect", "velocity", "velocity_and_rate", "keep"] | None = key_field(
         "compass states that change sign at a reversal, with the levelling integrals. 'velocity':"
         " velocity, as in paper 2. 'reflect': velocity and tilt, so the loops continue their"
         " motion. 'velocity_and_rate': velocity and azimuth rate. 'keep': none",
         default="reflect",
     )
-    turn_smoothing_s: vt.Seconds | None = field(
+    turn_smoothing_s: vt.Seconds | None = key_field(
         "delay of the low-pass filter on specific force for the tilt of 'reflect'", default=5.0
     )
-    turn_covariance: Literal["carried", "inflated", "reset"] | None = field(
+    turn_covariance: Literal["carried", "inflated", "reset"] | None = key_field(
         "P after a reversal. 'carried': unchanged. 'inflated': multiplied by turn_inflation."
         " 'reset': P0",
         default="carried",
     )
-    turn_inflation: vt.Factor | None = field("factor on P with 'inflated'", default=10.0)
+    turn_inflation: vt.Factor | None = key_field("factor on P with 'inflated'", default=10.0)
 
 
 class CoarseSection(Section):
@@ -457,13 +457,13 @@ class CoarseSection(Section):
         ),
     )
 
-    coarse_method: Literal["inertial", "optimisation", "none"] = field(
+    coarse_method: Literal["inertial", "optimisation", "none"] = key_field(
         "'inertial': rotation of gravity in inertial space. 'optimisation': least squares of"
         " integrated velocities. 'none': only in a simulation",
         "inertial",
     )
-    coarse_duration_s: vt.Seconds = field("duration", 60.0)
-    coarse_then: Literal["hand_over", "replay"] | None = field(
+    coarse_duration_s: vt.Seconds = key_field("duration", 60.0)
+    coarse_then: Literal["hand_over", "replay"] | None = key_field(
         "'hand_over': the method starts with the data that follow. 'replay': with the first"
         " sample, from the coarse attitude propagated back",
         otherwise="'hand_over'",
@@ -482,68 +482,68 @@ _ACCEPTED = "largest bias that the check accepts"
 class RecordSection(Section):
     """[record]: format, units and axes of an IMU record, and start times of the alignments."""
 
-    format: Literal["psins", "csv", "parquet", "arrays"] = field(
+    format: Literal["psins", "csv", "parquet", "arrays"] = key_field(
         "'csv': text with a header line. 'parquet': Apache Parquet. 'psins': PSINS text. 'arrays':"
         " Python arrays. The last two fix columns and units, 'arrays' also axes",
         ...,
     )
-    from_s: vt.SecondsOrZero | None = field(_USED_PART, otherwise="its beginning")
-    to_s: vt.Seconds | None = field(_USED_PART, otherwise="its end")
-    columns: vt.Columns | None = field(
+    from_s: vt.SecondsOrZero | None = key_field(_USED_PART, otherwise="its beginning")
+    to_s: vt.Seconds | None = key_field(_USED_PART, otherwise="its end")
+    columns: vt.Columns | None = key_field(
         "column names of a text file without them",
         otherwise="those in the file, or column_1, column_2, ...",
     )
-    skip_rows: vt.Count | None = field(
+    skip_rows: vt.Count | None = key_field(
         "lines of a text file before its column names or samples", otherwise="0"
     )
-    quantity: Literal["increments", "rates"] | None = field(
+    quantity: Literal["increments", "rates"] | None = key_field(
         "sensor columns: 'increments' (integrals over each sample) or 'rates' (means)",
         otherwise="by the units",
     )
-    time_column: str | None = field(
+    time_column: str | None = key_field(
         "column of time stamps, at the end of each sample. Without it rate_hz gives the times"
     )
-    time_fraction_column: vt.Name | None = field(
+    time_fraction_column: vt.Name | None = key_field(
         "column of the fraction of a second that time_column lacks, such as nsecs"
     )
-    time_fraction_unit: Literal["ms", "us", "ns"] | None = field(
+    time_fraction_unit: Literal["ms", "us", "ns"] | None = key_field(
         "unit of time_fraction_column: 'ms', 'us' or 'ns'", otherwise="'ns'"
     )
-    gyro_columns: vt.Triad | None = field("columns of the x, y, z sensors")
-    accel_columns: vt.Triad | None = field("columns of the x, y, z sensors")
+    gyro_columns: vt.Triad | None = key_field("columns of the x, y, z sensors")
+    accel_columns: vt.Triad | None = key_field("columns of the x, y, z sensors")
     gyro_unit: Literal["rad", "deg", "arcsec", "rad_per_s", "deg_per_s", "deg_per_h"] | None = (
-        field(
+        key_field(
             "unit of increments: 'rad', 'deg', 'arcsec'; of rates: 'rad_per_s', 'deg_per_s',"
             " 'deg_per_h'"
         )
     )
-    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = field(
+    accel_unit: Literal["m_per_s", "g_s", "ug_s", "m_per_s2", "g", "mg", "ug"] | None = key_field(
         "unit of increments: 'm_per_s', 'g_s', 'ug_s'; of rates: 'm_per_s2', 'g', 'mg', 'ug'"
     )
-    gyro_scale: vt.Vector | None = field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
-    accel_scale: vt.Vector | None = field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
-    axes_order: str = field(
+    gyro_scale: vt.Vector | None = key_field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
+    accel_scale: vt.Vector | None = key_field(_SCALE, otherwise="1", usual_range=(-1e6, 1e6))
+    axes_order: str = key_field(
         "record axes that point right, front, up: 'y-xz'; or directions of x, y, z: 'rfu', 'frd'",
         "xyz",
     )
-    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = field(
+    time_unit: Literal["s", "ms", "us", "ns", "iso"] | None = key_field(
         "time stamps in 's', 'ms', 'us', 'ns', or 'iso' for dates with time",
         otherwise="'s'",
     )
-    time_scale: vt.Factor | None = field("multiplier of the time stamps", otherwise="1")
-    start_s: vt.Starts = field(
+    time_scale: vt.Factor | None = key_field("multiplier of the time stamps", otherwise="1")
+    start_s: vt.Starts = key_field(
         "start times, coarse alignment included, one per draw, from the record's beginning",
         otherwise="from_s, else 0",
         default_factory=lambda given: (given.get("from_s") or 0.0,),
     )
-    max_gap_s: vt.SecondsOrZero | None = field(
+    max_gap_s: vt.SecondsOrZero | None = key_field(
         "longest gap between good samples that is interpolated", otherwise="0"
     )
-    gyro_bias_deg_per_h: vt.GyroNoise | None = field(
+    gyro_bias_deg_per_h: vt.GyroNoise | None = key_field(
         _ACCEPTED, otherwise="10 or with low noise 4.5"
     )
-    accel_bias_ug: vt.AccelNoise | None = field(_ACCEPTED, otherwise="5000")
-    trust: bool | None = field(
+    accel_bias_ug: vt.AccelNoise | None = key_field(_ACCEPTED, otherwise="5000")
+    trust: bool | None = key_field(
         "whether to align despite errors that the check finds", otherwise="false"
     )
 
@@ -628,9 +628,9 @@ class Distribution(Section):
     The entries of a list are values of the drawn key: for a vector one number or one per axis.
     """
 
-    uniform: vt.IncreasingPair | None = field("[low, high]")
-    normal: vt.Normal | None = field("[mean, standard deviation]")
-    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = field(
+    uniform: vt.IncreasingPair | None = key_field("[low, high]")
+    normal: vt.Normal | None = key_field("[mean, standard deviation]")
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = key_field(
         "one per draw, repeated from the first"
     )
 
@@ -669,7 +669,7 @@ class DrawnSection(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Distribution] = Field(init=False)
 
-    sampling: Literal["random", "sobol"] = field(
+    sampling: Literal["random", "sobol"] = key_field(
         "'random': independent numbers. 'sobol': scrambled Sobol points of all drawn keys together",
         "random",
     )
@@ -683,10 +683,10 @@ class DrawnSection(Section):
 class AdviseSection(Section):
     """[advise]: requirements for `sinsjax advise` only."""
 
-    time_s: Annotated[vt.Seconds, Field(ge=10, le=7200, multiple_of=1)] = field(
+    time_s: Annotated[vt.Seconds, Field(ge=10, le=7200, multiple_of=1)] = key_field(
         "available alignment time: whole seconds, 10 to 7200", 300.0
     )
-    wanted_deg: vt.AngleSigma | None = field(
+    wanted_deg: vt.AngleSigma | None = key_field(
         "heading error that 95 % of alignments must not exceed"
     )
 
@@ -694,12 +694,12 @@ class AdviseSection(Section):
 class StopWhenSection(Section):
     """[stop_when]: precision at which a study stops before its last draw."""
 
-    statistic: vt.Name = field(
+    statistic: vt.Name = key_field(
         "'success_rate', or 'settle_B_s_mean', the mean settling time into B arcmin; both follow"
         " judged_from",
         ...,
     )
-    half_width: vt.Positive = field(
+    half_width: vt.Positive = key_field(
         "half-width of its 95 % interval, in the variant where it is widest, that ends the study:"
         " a fraction for 'success_rate', else s",
         ...,
@@ -721,15 +721,15 @@ Value = TypeVar("Value")
 class Range(Section, Generic[End, Value]):
     """Range of a tuned key: low and high, or fixed, or candidates."""
 
-    low: End | None = field("ends of the range")
-    high: End | None = field("ends of the range")
-    scale: Literal["linear", "log"] | None = field(
+    low: End | None = key_field("ends of the range")
+    high: End | None = key_field("ends of the range")
+    scale: Literal["linear", "log"] | None = key_field(
         "spacing of the values: 'linear', or 'log' for equal ratios",
         otherwise="'linear'",
         default_factory=lambda given: None if given.get("low") is None else "linear",
     )
-    fixed: Value | None = field("single value")
-    candidates: Annotated[tuple[Value, ...], Field(min_length=1)] | None = field("values to try")
+    fixed: Value | None = key_field("single value")
+    candidates: Annotated[tuple[Value, ...], Field(min_length=1)] | None = key_field("values tried")
 
     @model_validator(mode="after")
     def _check_bounds_fixed_or_candidates(self) -> "Range[End, Value]":
@@ -761,54 +761,54 @@ class Range(Section, Generic[End, Value]):
 class TuneSection(Section):
     """[tune]: objective, variables and searches of `sinsjax tune`."""
 
-    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = field(
+    objective: Literal["settle_mean", "settle_quantile", "final_error", "failure_rate"] = key_field(
         "'settle_mean': mean settling time, unsettled runs counting with their length."
         " 'settle_quantile': its quantile. 'final_error': rms final heading error. 'failure_rate':"
         " fraction of unsettled runs",
         "settle_mean",
     )
-    objective_band_arcmin: vt.Band = field(
+    objective_band_arcmin: vt.Band = key_field(
         "heading band: one of settle_bands_arcmin, or the success band", 10.0
     )
-    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = field(
+    objective_quantile: Annotated[float, Field(gt=0, lt=1)] = key_field(
         "quantile for 'settle_quantile'", 0.9
     )
-    objective_across: Literal["mean", "worst"] = field(
+    objective_across: Literal["mean", "worst"] = key_field(
         "objective over several variants: 'mean' or 'worst'", "mean"
     )
-    searches: Searches = field(
+    searches: Searches = key_field(
         "'grid', 'sobol': points in the ranges. 'gradient': descents. If reset times are tuned,"
         " each also evaluates the reset law's schedule",
         ("grid", "gradient"),
     )
-    tune_draws: Some | None = field(
+    tune_draws: Some | None = key_field(
         "draws for searches; in a recorded study every second start time",
         in_simulation=16,
     )
-    evaluation_draws: Some | None = field(
+    evaluation_draws: Some | None = key_field(
         "other draws, to compare the best points; in a recorded study the other start times",
         in_simulation=64,
     )
-    grid_points: Annotated[vt.Count, Field(ge=2)] = field(
+    grid_points: Annotated[vt.Count, Field(ge=2)] = key_field(
         "points per variable of a 'grid' search; at most two variables", 15
     )
-    sobol_points: Some = field("points of a 'sobol' search per combination of candidates", 256)
-    descent_screen: Some = field(
+    sobol_points: Some = key_field("points of a 'sobol' search per combination of candidates", 256)
+    descent_screen: Some = key_field(
         "Sobol points evaluated before the descents, which start from the best", 16
     )
-    descent_starts: Some = field("parallel descents", 4)
-    descent_steps: Some = field("steps of a descent", 16)
-    descent_draws: Some = field("new draws per step", 4)
-    descent_rate: vt.Positive = field("Adam learning rate, in lengths of the ranges", 0.1)
-    relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = field(
+    descent_starts: Some = key_field("parallel descents", 4)
+    descent_steps: Some = key_field("steps of a descent", 16)
+    descent_draws: Some = key_field("new draws per step", 4)
+    descent_rate: vt.Positive = key_field("Adam learning rate, in lengths of the ranges", 0.1)
+    relaxed_window_s: tuple[vt.Seconds, vt.Seconds] = key_field(
         "half-widths of smooth reset windows at the first and last step", (4.0, 1.0)
     )
-    relaxed_sharpness: tuple[vt.Positive, vt.Positive] = field(
+    relaxed_sharpness: tuple[vt.Positive, vt.Positive] = key_field(
         "sharpness of the smooth heading band edge at the first and last step", (6.0, 16.0)
     )
-    variables: dict[str, Range | tuple[Range, ...]] = field(
+    variables: dict[str, Range | tuple[Range, ...]] = key_field(
         "tuned keys with their ranges, the table [tune.variables]", ...
     )
-    baseline: dict[str, Any] = field(
+    baseline: dict[str, Any] = key_field(
         "values to compare with, the table [tune.baseline]", {}, otherwise="the study's"
     )

@@ -96,7 +96,7 @@ def _descend_combination(
         steps, starts = tune.descent_steps, tune.descent_starts
         slope = DescentObjectives(parameters, stored, starts=starts, draws=tune.descent_draws)
         screened = max(tune.descent_screen, starts)
-        box = np.concatenate([laws, search.sobol_boxes(study, GRADIENT, number, screened)])
+        box = np.concatenate([laws, search.sobol_box_points(study, GRADIENT, number, screened)])
         if screened > starts:
             points = search.points_at(space, number, box)
             scored = score_with_hard_resets(study, stored, points, slope.draws)

@@ -76,32 +76,32 @@ class SearchSession(NamedTuple):
         return self.directory / name
 
 
-def sobol_boxes(study: Study, name: str, number: int, points: int) -> NDArray:
-    """Return scrambled Sobol points of a combination of candidates, (points, p), 0 to 1.
+def sobol_box_points(study: Study, search_name: str, number: int, count: int) -> NDArray:
+    """Return scrambled Sobol box points of a combination of candidates, by its number; (count, p).
 
     The study's seed and the name of the search determine them; more do not change the first.
     """
     from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
     space = SearchSpace.from_study(study)
-    seed = np.random.SeedSequence(study.seed, spawn_key=(*name.encode(), number))
+    seed = np.random.SeedSequence(study.seed, spawn_key=(*search_name.encode(), number))
     used = len(space.used_variables(space.combinations[number]))
     engine = qmc.Sobol(used, rng=np.random.Generator(np.random.PCG64(seed)))
     # A single point first, because scipy warns if the first call is not for 2^m points.
-    return np.concatenate([engine.random(1), engine.random(points - 1)])
+    return np.concatenate([engine.random(1), engine.random(count - 1)])
 
 
-def points_at(space: SearchSpace, number: int, boxes: Iterable[Any]) -> list[SearchPoint]:
+def points_at(space: SearchSpace, number: int, box_points: Iterable[Any]) -> list[SearchPoint]:
     """Return points of a combination of candidates by the positions of its variables, 0 to 1."""
     points, used = [], space.used_variables(space.combinations[number])
-    for box in boxes:
+    for box_point in box_points:
         whole = np.full(len(space.variables), np.nan)
-        whole[used] = box
+        whole[used] = box_point
         points.append(SearchPoint(number, space.to_values(whole)))
     return points
 
 
-def design_points(study: Study, name: str) -> list[SearchPoint]:
+def grid_or_sobol_points(study: Study, search_name: str) -> list[SearchPoint]:
     """Return the points of a grid or of Sobol points, after those of the law's reset schedules.
 
     Each combination of candidates has them all; of a grid the last variable is the fastest.
@@ -112,17 +112,17 @@ def design_points(study: Study, name: str) -> list[SearchPoint]:
         if (law := reset_law_schedule_in_unit_box(study, number)) is not None:
             laws += points_at(space, number, [law])
         used = len(space.used_variables(combination))
-        boxes: Any = product(np.linspace(0.0, 1.0, tune.grid_points), repeat=used)
-        if name != "grid" and used:
-            boxes = sobol_boxes(study, name, number, tune.sobol_points)
-        points += points_at(space, number, boxes)
+        box_points: Any = product(np.linspace(0.0, 1.0, tune.grid_points), repeat=used)
+        if search_name != "grid" and used:
+            box_points = sobol_box_points(study, search_name, number, tune.sobol_points)
+        points += points_at(space, number, box_points)
     return laws + points
 
 
 def search_points(study: Study, name: str, session: SearchSession) -> SearchResult:
     """Evaluate the points of a search on the tuning draws, in a directory with its name."""
     columns = objective.summary_columns(require_tune(study), study)
-    points = design_points(study, name)
+    points = grid_or_sobol_points(study, name)
     scored = score_points(
         study,
         name,

@@ -86,7 +86,7 @@ def test_rerun_command_exits_1_when_the_row_differs(sinsjax, out, tmp_path):
     part = min(changed.glob("summary/*.parquet"))
     table = pq.read_table(part)
     yaw = pa.compute.add(table["yaw_deg"], 1e-13).combine_chunks()
-    write_part(part, replace_column(table, "yaw_deg", yaw), Job(STUDY).identity)
+    write_part(part, replace_column(table, "yaw_deg", yaw), Job(STUDY).input_hash)
     code, said, _ = sinsjax("rerun", changed, "--run-id", 0, "-o", tmp_path / "two")
     assert code == 1 and "identical" not in said
     assert f"1 of {table.num_columns} columns differ from the stored row: yaw_deg" in said

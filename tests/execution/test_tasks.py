@@ -70,7 +70,7 @@ def test_tasks_are_deterministic_and_cover_every_run(draws, variants, chunk_runs
         assert all(task.runs <= max(2 * LANES, chunk_runs + LANES) for task in tasks)
 
 
-def test_job_identity_depends_on_study_record_and_reference():
+def test_input_hash_depends_on_study_record_and_reference():
     study = recorded_study()
     record, level = add_true_reference(sinsjax.simulated_record(small_study()))
     jobs = [Job(small_study()), Job(small_study(study={"seed": 2}))]
@@ -83,7 +83,7 @@ def test_job_identity_depends_on_study_record_and_reference():
         (record, level._replace(time_s=level.time_s + 1e-9)),
     ):
         jobs.append(Job(study, StoredRecord(one, other)))
-    assert len({job.identity for job in jobs}) == len(jobs)
+    assert len({job.input_hash for job in jobs}) == len(jobs)
     moved = StoredRecord(record._replace(source="elsewhere"), level)
-    assert Job(study, moved).identity == jobs[2].identity
-    assert Job(small_study(study={"name": "other"}), None, True, 64).identity == jobs[0].identity
+    assert Job(study, moved).input_hash == jobs[2].input_hash
+    assert Job(small_study(study={"name": "new"}), None, True, 64).input_hash == jobs[0].input_hash

@@ -17,7 +17,7 @@ from sinsjax.errors import InputError
 from sinsjax.execution import run
 from sinsjax.execution.results import Results
 from sinsjax.execution.tables import replace_column
-from sinsjax.report.monte_carlo import build_report, comparison_table, statistics_table
+from sinsjax.report.monte_carlo import build_report, paired_difference_table, statistics_table
 from sinsjax.report.verdict import build_short_report
 from sinsjax.study.load import study_from_dict
 
@@ -61,7 +61,7 @@ def test_variants_are_compared_with_first_of_same_conditions_on_same_noise(axes)
     settle = 50.0 + np.add.outer(np.arange(40.0), later).ravel()
     status = ["ok"] * (len(settle) - 1) + ["diverged"]
     source = results_of(study, settle_10_s=settle, status=status)
-    table = comparison_table(source)
+    table = paired_difference_table(source)
     if study.n_variants == 4:
         assert table.title == "Against number of resets 1, on the same noise"
         assert [row[:2] for row in table.rows] == [["2", "0"], ["2", "30"]]

@@ -32,7 +32,7 @@ def write_manifest(directory, study, **entries):
         "schema": SCHEMA_VERSION,
         "config": f"{study.name}.toml",
         "fingerprint": fingerprint(study),
-        "identity": Job(study).identity,
+        "identity": Job(study).input_hash,
         "curves": None,
         "chunk_runs": None,
         "study": sections_to_json(study),
@@ -45,7 +45,7 @@ def store_results(directory, study, summary=None, curves=None, **entries):
     """Write tables as the results of a study; return the directory."""
     for name, table in {"summary": summary, "curves": curves}.items():
         if table is not None:
-            write_part(directory / name / "part-0000-000000.parquet", table, Job(study).identity)
+            write_part(directory / name / "part-0000-000000.parquet", table, Job(study).input_hash)
     (directory / STUDY).write_text(study_to_toml(study))
     write_manifest(directory, study, **entries)
     return directory

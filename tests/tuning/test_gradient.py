@@ -174,7 +174,7 @@ def test_descents_start_at_the_law_if_it_is_best_and_take_turns_over_the_draws(m
         **{"objective": "final_error", "tune_draws": 4, "descent_draws": 2},
         **{"descent_screen": 4, "descent_starts": 2, "descent_steps": 3},
     )
-    law, *_ = search.design_points(study, "sobol")
+    law, *_ = search.grid_or_sobol_points(study, "sobol")
     seen = []
 
     def slope(_, box, draws, *__):

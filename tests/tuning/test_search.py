@@ -32,7 +32,7 @@ COUNTED = tuned({"reset_times_s": TIMES, "reset_count": {"candidates": [0, 1, 2]
 
 def positions(study, name):
     """Return the points of a design by candidate and positions, 0 to 1; the law's come first."""
-    space, points = SearchSpace.from_study(study), search.design_points(study, name)
+    space, points = SearchSpace.from_study(study), search.grid_or_sobol_points(study, name)
     laws = [search.points_at(space, n, [reset_law_schedule_in_unit_box(study, n)]) for n in (1, 2)]
     np.testing.assert_array_equal([p.values for p in points[:2]], [p.values for (p,) in laws])
     return np.array([[p.candidate, *space.to_box(p.values)] for p in points[2:]])
@@ -53,7 +53,7 @@ def test_sobol_points_are_determined_by_seed_and_search():
     inside = few[5:, 1:]
     assert (inside >= 0).all() and (inside <= 1).all()
     np.testing.assert_array_equal(few[5:], more[10:14])
-    assert not np.isclose(search.sobol_boxes(COUNTED, "gradient", 2, 4), inside).any()
+    assert not np.isclose(search.sobol_box_points(COUNTED, "gradient", 2, 4), inside).any()
 
 
 def test_derived_study_runs_all_variants_per_search_point():

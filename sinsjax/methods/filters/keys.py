@@ -19,7 +19,7 @@ from sinsjax.columns import column
 from sinsjax.methods.method import Method, OwnColumn, StudyKeys
 from sinsjax.types import Scalar
 from sinsjax.units import si_factor
-from sinsjax.value_types import ROUNDING, KeyCondition, Section, field, keys_of
+from sinsjax.value_types import ROUNDING, KeyCondition, Section, key_field, keys_of
 
 _DEFAULT_R = 0.1
 """r_velocity_m_per_s on a base without surge."""
@@ -28,55 +28,55 @@ _DEFAULT_R = 0.1
 class FilterSection(Section):
     """[filter]: covariance P0, process noise Q (required with a record), measurement noise R."""
 
-    p0_velocity_m_per_s: vt.SpeedSigma = field(
+    p0_velocity_m_per_s: vt.SpeedSigma = key_field(
         "initial sigma of east and north velocity errors", 0.1
     )
-    p0_level_deg: vt.AngleSigma = field("initial sigma of level errors about east and north", 15.0)
-    p0_yaw_deg: vt.HeadingSigma = field("initial sigma of heading", 80.0)
-    p0_gyro_bias_deg_per_h: vt.GyroSigma = field("initial sigma of each gyro's bias", 0.1)
-    p0_accel_bias_ug: vt.AccelSigma = field(
+    p0_level_deg: vt.AngleSigma = key_field("initial sigma of level errors, east and north", 15.0)
+    p0_yaw_deg: vt.HeadingSigma = key_field("initial sigma of heading", 80.0)
+    p0_gyro_bias_deg_per_h: vt.GyroSigma = key_field("initial sigma of each gyro's bias", 0.1)
+    p0_accel_bias_ug: vt.AccelSigma = key_field(
         "initial sigma of each level accelerometer's bias", 500.0
     )
-    q_accel_ug: vt.AccelNoise | None = field(
+    q_accel_ug: vt.AccelNoise | None = key_field(
         "process noise of velocity errors; per sqrt(Hz) with q_reading = 'psd'",
         otherwise="that of the accelerometers in [sensors]",
     )
-    q_gyro_deg_per_h: vt.GyroNoise | None = field(
+    q_gyro_deg_per_h: vt.GyroNoise | None = key_field(
         "process noise of misalignments; per sqrt(Hz) with q_reading = 'psd'",
         otherwise="that of the gyros in [sensors]",
     )
-    q_accel_ug_per_sqrt_hz: vt.AccelNoise | None = field(
+    q_accel_ug_per_sqrt_hz: vt.AccelNoise | None = key_field(
         "process noise density of velocity errors; alternative to q_accel_ug with q_reading ="
         " 'psd'",
         alternative_to="q_accel_ug",
     )
-    q_gyro_deg_per_h_per_sqrt_hz: vt.GyroNoise | None = field(
+    q_gyro_deg_per_h_per_sqrt_hz: vt.GyroNoise | None = key_field(
         "process noise density of misalignments; alternative to q_gyro_deg_per_h with q_reading ="
         " 'psd'",
         alternative_to="q_gyro_deg_per_h",
     )
-    q_gyro_arw_deg_per_sqrt_h: vt.GyroWalk | None = field(
+    q_gyro_arw_deg_per_sqrt_h: vt.GyroWalk | None = key_field(
         "angle random walk, a sixtieth of the number in deg/h/sqrt(Hz); alternative to"
         " q_gyro_deg_per_h with q_reading = 'psd'",
         alternative_to="q_gyro_deg_per_h",
     )
-    q_reading: Literal["psd", "per_sample", "per_step"] | None = field(
+    q_reading: Literal["psd", "per_sample", "per_step"] | None = key_field(
         "units of the q_ keys, required with them. 'psd': data sheet densities. 'per_sample':"
         " sigma of one sample. 'per_step': sigma added per filter step, as in paper 1; at 100 Hz a"
         " hundred times that of 'per_sample'"
     )
-    r_velocity_m_per_s: vt.SpeedSigma | None = field(
+    r_velocity_m_per_s: vt.SpeedSigma | None = key_field(
         "sigma r of the zero-velocity measurement; per sqrt(Hz) with r_reading = 'psd'. If"
         " omitted, methods without [surge] add the surge density 2 s^2 T, s the larger of"
         " surge_m_per_s east and north, T surge_time_s",
         same_as=_DEFAULT_R,
     )
-    r_reading: Literal["per_update", "psd"] = field(
+    r_reading: Literal["per_update", "psd"] = key_field(
         "'per_update': the variance R of an update is r squared. 'psd': r squared / sample time",
         "per_update",
     )
-    q_scale: vt.Factor | None = field("factor on the variance Q", same_as=1.0)
-    r_scale: vt.Factor | None = field("factor on the variance R", same_as=1.0)
+    q_scale: vt.Factor | None = key_field("factor on the variance Q", same_as=1.0)
+    r_scale: vt.Factor | None = key_field("factor on the variance R", same_as=1.0)
 
 
 # Q and R
@@ -254,73 +254,73 @@ class ResetsSection(Section):
         _with_resets("reset_kind", ("full",), "reset_gyro_bias_deg_per_h", "reset_accel_bias_ug"),
     )
 
-    reset_trigger: Literal["none", "innovation", "linearisation"] | None = field(
+    reset_trigger: Literal["none", "innovation", "linearisation"] | None = key_field(
         "score that triggers a reset above trigger_threshold, in addition to the schedule, or"
         " 'none'. 'innovation': normalised squared sum of innovations in a window. 'linearisation':"
         " heading knowledge in excess of a base at rest",
         otherwise="'none'",
     )
-    trigger_threshold: vt.NonNegative | None = field(
+    trigger_threshold: vt.NonNegative | None = key_field(
         "score above which P is reset; required with a trigger"
     )
-    trigger_window_s: vt.Seconds | None = field(
+    trigger_window_s: vt.Seconds | None = key_field(
         "window of 'innovation'", default=10.0, beside="reset_trigger"
     )
-    trigger_refractory_s: vt.SecondsOrZero | None = field(
+    trigger_refractory_s: vt.SecondsOrZero | None = key_field(
         "shortest time from start or any reset to a triggered reset",
         default=5.0,
         beside="reset_trigger",
         time="s",
     )
-    trigger_most: Annotated[vt.Count, Field(ge=1)] | None = field(
+    trigger_most: Annotated[vt.Count, Field(ge=1)] | None = key_field(
         "most triggered resets per run", default=10, beside="reset_trigger"
     )
-    trigger_until_s: vt.Seconds | None = field(
+    trigger_until_s: vt.Seconds | None = key_field(
         "end of triggered resets", otherwise="no limit", time="s"
     )
-    schedule: Literal["times", "none", "law", "trigger"] = field(
+    schedule: Literal["times", "none", "law", "trigger"] = key_field(
         "'times': reset_times_s or reset_count, and reset_trigger. 'none': no resets. 'law': from"
         " Q, R, P0, latitude, feedback, sensors and surge, see the page reset_law. 'trigger':"
         " reset_trigger alone, by default 'linearisation' with threshold 1.2",
         "times",
     )
-    heading_bound_deg: Annotated[vt.Positive, Field(lt=180)] = field(
+    heading_bound_deg: Annotated[vt.Positive, Field(lt=180)] = key_field(
         "largest initial heading error that 'law' settles", 150.0, usual_range=(1, 180)
     )
-    settle_band_arcmin: vt.Band = field("heading error to which 'law' settles", 10.0)
-    reset_count: vt.Count | None = field("number of scheduled resets", default=0)
-    reset_cycle_s: vt.Seconds | None = field(
+    settle_band_arcmin: vt.Band = key_field("heading error to which 'law' settles", 10.0)
+    reset_count: vt.Count | None = key_field("number of scheduled resets", default=0)
+    reset_cycle_s: vt.Seconds | None = key_field(
         "interval of reset_count resets; not needed for one at reset_first_s"
     )
-    reset_first_s: vt.Seconds | None = field(
+    reset_first_s: vt.Seconds | None = key_field(
         "time of the first of reset_count resets", otherwise="the cycle"
     )
-    reset_times_s: vt.Times | None = field(
+    reset_times_s: vt.Times | None = key_field(
         "times of scheduled resets; alternative to reset_count", whole="sample"
     )
-    reset_at_feedback: bool = field("whether a scheduled reset waits for the next feedback", False)
-    reset_restarts_feedback: bool = field("whether a reset starts a feedback interval", False)
-    reset_kind: Literal["full", "yaw", "scale"] = field(
+    reset_at_feedback: bool = key_field("whether a scheduled reset waits for feedback", False)
+    reset_restarts_feedback: bool = key_field("whether a reset starts a feedback interval", False)
+    reset_kind: Literal["full", "yaw", "scale"] = key_field(
         "'full': variances become the values below, covariances zero. 'yaw': the same for heading"
         " only. 'scale': P is multiplied by reset_scale",
         "full",
     )
-    reset_scale: vt.Factor = field("factor on P with 'scale'", 10.0)
-    reset_velocity_m_per_s: vt.SpeedSigma | None = field(
+    reset_scale: vt.Factor = key_field("factor on P with 'scale'", 10.0)
+    reset_velocity_m_per_s: vt.SpeedSigma | None = key_field(
         "sigma of velocity errors after a reset",
         otherwise="P0, at least 1 m/s with 'law'",
         same_as="p0_velocity_m_per_s",
     )
-    reset_level_deg: vt.AngleSigma | None = field(
+    reset_level_deg: vt.AngleSigma | None = key_field(
         "sigma of level errors after a reset", otherwise="P0", same_as="p0_level_deg"
     )
-    reset_yaw_deg: vt.HeadingSigma | None = field(
+    reset_yaw_deg: vt.HeadingSigma | None = key_field(
         "sigma of heading after a reset", otherwise="P0", same_as="p0_yaw_deg"
     )
-    reset_gyro_bias_deg_per_h: vt.GyroSigma | None = field(
+    reset_gyro_bias_deg_per_h: vt.GyroSigma | None = key_field(
         "sigma of each gyro's bias after a reset", otherwise="P0", same_as="p0_gyro_bias_deg_per_h"
     )
-    reset_accel_bias_ug: vt.AccelSigma | None = field(
+    reset_accel_bias_ug: vt.AccelSigma | None = key_field(
         "sigma of each accelerometer's bias after a reset",
         otherwise="P0",
         same_as="p0_accel_bias_ug",

@@ -33,7 +33,7 @@ from sinsjax.value_types import (
     KeyInfo,
     NonNegative,
     Section,
-    field,
+    key_field,
 )
 
 BLOCK_S, LONGEST_BLOCK_S = 1.0, 2.0
@@ -158,7 +158,7 @@ def build(options: method.Options) -> method.Program:
 
 
 def _believed(meaning: str, default: str = "that of [sensors] or [drawn]") -> Any:
-    return field(meaning, otherwise=default)
+    return key_field(meaning, otherwise=default)
 
 
 class GravityFitSection(Section):
