@@ -267,8 +267,6 @@ class Advice:
             lines.append(f"north is not found, for the {SOURCES[self.dominant].words}{more}")
         elif self.sigma > _COARSE:
             lines.append("beyond linear theory: 20 % more or less are possible")
-        if "fit_lever_arm_m" in self.choice.sections.get(_FIT, {}):
-            lines.append("an arm that swings may double this (docs/advise.md): confirm by --study")
         rotates = np.max(np.abs([motion.get(f"{a}_amplitude_deg", 0.0) for a in AXES]))
         if rotates > _ROTATES_DEG and not level_surge(motion.get("surge_m_per_s")):
             moved = motion | {key: surging[key] for key in ("surge_m_per_s", "surge_time_s")}

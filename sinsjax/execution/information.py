@@ -34,7 +34,7 @@ from sinsjax.errors import InputError
 from sinsjax.maths.rotations import matrix
 from sinsjax.methods.filters.keys import level_surge
 from sinsjax.methods.floors import mean_attitude
-from sinsjax.methods.gravity_fit.method import BLOCK_S
+from sinsjax.methods.gravity_fit.method import BLOCK_S, OVERLAP_S
 from sinsjax.platform import runtime
 from sinsjax.strapdown.base_motion import Motion, attitude, rate_and_force
 from sinsjax.strapdown.earth import Place
@@ -129,12 +129,12 @@ def budget_problem(study: Study) -> HeadingProblem:
 
 
 def _with_swing_by_rounded_rates(problem: HeadingProblem, arm: Any, arcsec: Any) -> HeadingProblem:
-    """Return a problem with the velocity that an arm makes of the rounding of a last increment.
+    """Return a problem with the velocity that an arm makes of the rounding of angles.
 
-    `gravity_fit` takes the swing of the arm at the end of a block from the last sample alone, whose
-    rate errs by two remainders over its length. The velocity is known to so much, not summed.
+    `gravity_fit` takes the swing of the arm from the turn in the overlap of two blocks, which errs
+    by two remainders. The velocity is known to so much, not summed.
     """
-    rate, arms = np.sqrt(2) * np.broadcast_to(arcsec, 3) * ARCSEC / problem.dt, np.diag(arm)
+    rate, arms = np.sqrt(2) * np.broadcast_to(arcsec, 3) * ARCSEC / OVERLAP_S, np.diag(arm)
     swing = np.sqrt(np.square(np.cross(arms, rate * np.eye(3)[:, None])).sum(axis=(0, 1)))
     if not swing.any():
         return problem

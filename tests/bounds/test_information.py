@@ -339,9 +339,9 @@ def test_rounded_angles_turn_with_the_body_in_steps_of_any_length():
     assert np.sqrt(coarse) == pytest.approx(np.sqrt(fine), rel=0.005)
 
 
-def test_rounded_rates_at_the_end_of_an_arm_are_a_rounded_velocity():
-    """Of the level axes for an arm along the vertical, by two remainders over a sample."""
-    quantum = np.sqrt(2) * 10.0 * DEG / 3600 / 0.01 * 2.0
+def test_rounded_angles_at_the_end_of_an_arm_are_a_rounded_velocity():
+    """Of the level axes for an arm along the vertical, by two remainders over 0.1 s."""
+    quantum = np.sqrt(2) * 10.0 * DEG / 3600 / 0.1 * 2.0
     other = {"sensors.accel_quantisation_um_per_s": [1e6 * quantum, 1e6 * quantum, 0.0]}
     sources = ("gyro_quantisation", "accel_quantisation", "swing")
     problem = rounded_sheet(**other, **{"motion.lever_arm_m": [0.0, 0.0, 2.0]})

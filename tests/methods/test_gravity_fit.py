@@ -90,6 +90,23 @@ def test_errors_and_sigma_are_those_of_information_bound(case: str) -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("motion", "sensors"),
+    [
+        ({"lever_arm_m": [2.0, 1.0, 0.5]}, {"gyro_quantisation_arcsec": 5.0}),
+        ({"yaw_amplitude_deg": 3.0, "yaw_period_s": 3.3}, {"accel_rrw_ug_per_sqrt_h": 5e3}),
+    ],
+)
+def test_swing_of_an_arm_and_drifts_on_a_base_that_sways_leave_the_own_sigma(
+    motion: dict[str, Any], sensors: dict[str, Any]
+) -> None:
+    """Of an arm, with rounded angles at the rate of an IMU, and of a drift in yaw."""
+    given = CASES["swaying"]["motion"] | motion, NOISE | sensors
+    nees, misfit = columns(study(16, *given, study={"rate_hz": 50.0}), "nees", "fit_misfit")
+    assert misfit.max() < 1.25 and np.sum(nees) < stats.chi2.ppf(0.999, 3 * 16)
+
+
+@pytest.mark.nightly
 def test_heading_depends_neither_on_later_data_nor_on_the_length_of_records() -> None:
     ends = "phi_u_arcmin", "sigma_u_arcmin"
     whole = study(4, study={"report_times_s": [90.0]})

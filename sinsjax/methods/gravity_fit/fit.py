@@ -98,16 +98,16 @@ class Block(NamedTuple):
     """The samples of about a second."""
 
     turn: Quat  # rotation of the body
-    half: Quat  # rotation by half the angle about the same axis
+    mean: Quat  # mean of the rotation over the time
     angle: Vec3  # rotation vector of ``turn``, rad
     dv: Vec3  # velocity increment in b at the start, m/s
-    rate: Vec3  # angular rate in b at the end, rad/s
+    rate: Vec3  # angular rate in b at the end, rad/s, or the mean while it overlaps the next
 
     @classmethod
-    def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3) -> "Block":
-        """Return the block with its half turn and its angle."""
+    def of_turn(cls, turn: Quat, dv: Vec3, rate: Vec3, mean: Quat | None = None) -> "Block":
+        """Return the block with its angle; without a mean the base turns at a constant rate."""
         angle = rotations.log(turn)
-        return cls(turn, rotations.exp(scale(0.5, angle)), angle, dv, rate)
+        return cls(turn, mean or rotations.exp(scale(0.5, angle)), angle, dv, rate)
 
     @classmethod
     def of_row(cls, row: Array) -> "Block":
@@ -123,15 +123,19 @@ class Block(NamedTuple):
         """Return its rotation by each gyro error, see `Solution.gyro`, in b at its start.
 
         Each is a factor times the mean of an axis of b over the block: over the angle turned, by
-        Simpson's rule, exact for turns about one axis at any rate.
+        Simpson's rule, exact for turns about one axis at any rate. That of a bias is over the time,
+        in which a swaying base can lead or lag by more than it turns.
         """
-        rows = zip(rotations.matrix(self.half), rotations.matrix(self.turn), strict=True)
+        half = rotations.exp(scale(0.5, self.angle))
+        lead = rotations.multiply(self.mean, rotations.conjugate(half))
+        rows = zip(rotations.matrix(half), rotations.matrix(self.turn), strict=True)
         mean = [
             [(float(i == k) + 4 * middle[k] + last[k]) / 6 for k in range(3)]
             for i, (middle, last) in enumerate(rows)
         ]
         axes = [Vec3(*axis) for axis in zip(*mean, strict=True)]
-        return [scale(factor, axis) for factor in (length_s, *self.angle)[:triads] for axis in axes]
+        biases = [scale(length_s, rotations.rotate(lead, axis)) for axis in axes]
+        return biases + [scale(f, axis) for f in self.angle[: triads - 1] for axis in axes]
 
     def turn_without(self, rotation: Vec3) -> Quat:
         """Return the rotation of the body less that by errors."""
@@ -335,13 +339,14 @@ class _GaussNewtonPass(NamedTuple):
             measured = add(measured, scale(-1.0, combine(gained, lever)))
         x += [(measured.x - gh * mx, measured.y - gh * my)]
 
-        about_up = rotations.rotate(sums.body, block.angle).z
-        step, gain, s, variance = kalman_predictor_step(self.noise, sums.variance, about_up)
+        angles = rotations.log(block.mean), block.angle
+        turns = (rotations.rotate(sums.body, angle).z for angle in angles)
+        sees, step, gain, s, variance = kalman_predictor_step(self.noise, sums.variance, *turns)
         residual = jnp.stack([jnp.stack(row) for row in x])
         if lever:  # its velocity at the first sample is unknown
             residual = jnp.where(jnp.asarray(number) > 0, residual, 0.0 * residual)
-        for state, estimates in zip(self.noise.states, sums.walk, strict=True):
-            residual = residual - state.seen * estimates
+        for factor, estimates in zip(sees, sums.walk, strict=True):
+            residual = residual - multiply_pairs(factor, estimates)
         walk = tuple(
             sum(multiply_pairs(f, sums.walk[j]) for j, f in row.items())
             + multiply_pairs(k, residual)

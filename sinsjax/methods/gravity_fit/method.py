@@ -5,6 +5,10 @@ time the rotation and the velocity increment of the block are stored, 136 bytes 
 and when a fit is due all blocks so far are fitted, see `fit`: after 4, 8, 16, ...
 blocks, at reported times and at the end. In between the gyros carry the attitude, without the
 biases found.
+
+The velocity of a lever arm is as noisy as the rate of a sample, but two attitudes show its mean.
+With an arm blocks overlap by 0.1 s, in which the share of the next one in the sums grows, and meet
+at the attitude after half of the turn in it.
 """
 
 from collections.abc import Callable
@@ -18,7 +22,7 @@ import numpy as np
 
 from sinsjax.columns import column
 from sinsjax.maths import rotations
-from sinsjax.maths.algebra import add, dot, scale, select_tree
+from sinsjax.maths.algebra import dot, scale, select_tree
 from sinsjax.methods import method
 from sinsjax.methods.filters.keys import ACCEL_NOISE, GYRO_NOISE, level_surge
 from sinsjax.methods.gravity_fit.fit import NUMBERS, Block, FitParams, Solution, combine, solve
@@ -37,6 +41,7 @@ from sinsjax.value_types import (
 )
 
 BLOCK_S, LONGEST_BLOCK_S = 1.0, 2.0
+OVERLAP_S = 0.1  # of blocks with a lever arm
 LEAST_BLOCKS = 4
 """Blocks of the first fit; the next have twice as many each, and cost as much as the last alone."""
 
@@ -47,16 +52,21 @@ REFITS = (
 """What its settling times are worth."""
 
 
+class Sums(NamedTuple):
+    """Sums over the samples of a block, in b at its beginning."""
+
+    turn: Quat  # rotation of the body since then, at the beginnings and ends of samples
+    dv: Vec3  # velocity increments, m/s
+
+
 class FitState(NamedTuple):
     """A run between two samples."""
 
     nav: Navigation  # initial solution, whose attitude is the result before the first sample
     turn: Quat  # rotation of the body since the block began
-    dv: Vec3  # velocity increment since then, in b at that time, m/s
-    last: Vec3  # half the rotation of the last sample, rad
-    # Half the rotation of a sample at the rate at its end, rad: extrapolated, since a lag of
-    # half a sample shows in the velocity of a long lever arm
-    rate: Vec3
+    sums: Sums
+    # With a lever arm: the rotation up to the samples that the next block shares, and its sums
+    overlap: tuple[Quat, Sums] | None
     earth: Vec3  # rotation rate of the Earth in n, rad/s
     count: Scalar  # samples so far
     blocks: Array  # (most, `NUMBERS`) ended blocks, each a `Block`
@@ -69,42 +79,59 @@ def build(options: method.Options) -> method.Program:
     records = max(1, round(BLOCK_S / record_s)) if record_s else 1
     length_s = records * record_s
     most = options.records // records
+    shared = max(1, round(OVERLAP_S / options.dt))
 
     def init(params: FitParams, nav: Navigation) -> FitState:
         zero = jnp.zeros_like(nav.ve)
         one, still = Quat(zero + 1, zero, zero, zero), Vec3(zero, zero, zero)
+        nothing = Sums(Quat(zero, *still), still)
         blank = jnp.zeros((most, NUMBERS)) + zero
         solution = Solution.of_unknown_attitude(params, zero)
-        return FitState(nav, one, still, still, still, still, zero, blank, solution)
+        overlap = None if params.lever_arm is None else (one, nothing)
+        return FitState(nav, one, nothing, overlap, still, zero, blank, solution)
 
     def add_sample_to_block(
         params: Any, site: method.Site, state: FitState, sample: Sample, n: Scalar
     ) -> FitState:
-        dv = add(state.dv, rotations.rotate(state.turn, sample.dv))
-        turn = rotations.multiply(state.turn, sample.turn)
-        zero = jnp.zeros_like(n)
+        turn, overlap = rotations.multiply(state.turn, sample.turn), state.overlap
+        twice = jax.tree.map(jnp.add, state.turn, turn)
+        gained = Sums(twice, rotations.rotate(state.turn, sample.dv))
+        zero, share = jnp.zeros_like(n), 0.0
         earth = Vec3(zero, zero + site.place.rate_n, zero + site.place.rate_u)
-        last = Vec3(*sample.turn[1:])
-        rate = add(scale(1.5, last), scale(-0.5, state.last))
-        return state._replace(turn=turn, dv=dv, last=last, rate=rate, earth=earth, count=n)
+        if overlap is not None:
+            left = jnp.mod(-n, records * options.record_every)  # samples of the block
+            share = jnp.maximum(0.0, 1 - (left + 0.5) / shared)
+            begin = select_tree(left >= shared, turn, overlap[0])
+            overlap = begin, jax.tree.map(lambda a, b: a + share * b, overlap[1], gained)
+        sums = jax.tree.map(lambda a, b: a + (1 - share) * b, state.sums, gained)
+        return state._replace(turn=turn, sums=sums, overlap=overlap, earth=earth, count=n)
 
     def store(state: FitState, interval: Count) -> FitState:
-        ends, solution = (interval + 1) % records == 0, state.solution
-        rate = scale(2 / options.dt, state.rate)
-        block = Block.of_turn(rotations.normalise(state.turn), state.dv, rate)
+        ends, solution, overlap = (interval + 1) % records == 0, state.solution, state.overlap
+        nothing = jax.tree.map(jnp.zeros_like, state.sums)
+        one = nothing.turn._replace(w=jnp.ones_like(state.count))
+        turn, rate, begun = state.turn, nothing.dv, (one, nothing, overlap)
+        if overlap is not None:
+            begin, later = overlap
+            over = rotations.multiply(rotations.conjugate(begin), turn)
+            half = rotations.exp(scale(0.5, rotations.log(over)))
+            turn = rotations.multiply(turn, rotations.conjugate(half))
+            rate = scale(2 / (shared * options.dt), Vec3(*over[1:]))
+            to_end = rotations.conjugate(turn)
+            later = Sums(rotations.multiply(to_end, later.turn), rotations.rotate(to_end, later.dv))
+            begun = half, later, (half, nothing)
+        mean = rotations.normalise(state.sums.turn)
+        block = Block.of_turn(rotations.normalise(turn), state.sums.dv, rate, mean)
         place = jnp.minimum(interval // records, most - 1)
         blocks = jax.lax.dynamic_update_index_in_dim(state.blocks, block.row(), place, 0)
         errors = block.rotations_by_gyro_errors(len(solution.gyro), length_s)
         corrected = block.turn_without(combine(errors, solution.gyro))
-        zero = jnp.zeros_like(state.count)
-        begun = (
-            Quat(zero + 1, zero, zero, zero),
-            Vec3(zero, zero, zero),
-            rotations.normalise(rotations.multiply(solution.carried, corrected)),
-        )
-        turn, dv, carried = select_tree(ends, begun, (state.turn, state.dv, solution.carried))
+        carried = rotations.normalise(rotations.multiply(solution.carried, corrected))
+        so_far = state.turn, state.sums, overlap, solution.carried
+        turn, sums, overlap, carried = select_tree(ends, (*begun, carried), so_far)
         solution = solution._replace(carried=carried)
-        return state._replace(blocks=blocks, turn=turn, dv=dv, solution=solution)
+        state = state._replace(turn=turn, sums=sums, overlap=overlap)
+        return state._replace(blocks=blocks, solution=solution)
 
     def is_due(interval: Count, reported: Flag) -> Flag:
         ended, rest = (interval + 1) // records, (interval + 1) % records
@@ -117,7 +144,8 @@ def build(options: method.Options) -> method.Program:
 
     def turn_of_n(state: FitState) -> Quat:
         """Return C_{n0}^n."""
-        return rotations.exp(scale(-state.count * options.dt, state.earth))
+        early = 0.5 * shared if state.overlap else 0.0  # by which overlapping blocks begin
+        return rotations.exp(scale(-(state.count + early) * options.dt, state.earth))
 
     def attitude(state: FitState) -> Quat:
         body = rotations.multiply(state.solution.carried, state.turn)

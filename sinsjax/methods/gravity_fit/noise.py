@@ -89,12 +89,12 @@ def block_noise_model(noise: SensorNoise, gravity: Scalar, length_s: float) -> N
 
 
 def kalman_predictor_step(
-    noise: NoiseModel, variance: Covariance, turned: Scalar
-) -> tuple[list[dict[int, Number]], list[Number], Scalar, Covariance]:
-    """Return transition, gain, innovation variance and the covariance of the noise after a block.
+    noise: NoiseModel, variance: Covariance, middle: Scalar, turned: Scalar
+) -> tuple[list[Number], list[dict[int, Number]], list[Number], Scalar, Covariance]:
+    """Return measurement, transition, gain, innovation variance and the covariance after a block.
 
     The transition is rows of entries by column, without zeros; ``turned`` is the angle by which the
-    body turned about the vertical in the block, rad.
+    body turned about the vertical in the block, and ``middle`` its mean over the block, rad.
     """
     states, places, cast = noise.states, range(len(noise.states)), noise.cast
 
@@ -102,12 +102,14 @@ def kalman_predictor_step(
         return cast(variance[i, k]) if i <= k else jnp.conj(cast(variance[k, i]))
 
     step = [{i: cast(state.kept)} for i, state in enumerate(states)]
+    sees = [state.seen for state in states]
     for i, state in enumerate(states):
         if state.to_walk is not None:
+            mean = jnp.exp(cast(middle) * 1j)
+            sees[i], step[0][i] = cast(state.seen) * mean, cast(state.to_walk) * mean
             step[i][i] = step[i][i] * jnp.exp(cast(turned) * 1j)
-            step[0][i] = cast(state.to_walk)
-    seen = [sum(p(i, k) * cast(states[k].seen) for k in places) for i in places]
-    s = noise.measured + sum(states[i].seen * jnp.real(seen[i]) for i in places)
+    seen = [sum(p(i, k) * cast(jnp.conj(sees[k])) for k in places) for i in places]
+    s = noise.measured + sum(jnp.real(cast(sees[i]) * seen[i]) for i in places)
     moved = [
         sum(f * seen[k] for k, f in row.items()) + cast(state.shared)
         for row, state in zip(step, states, strict=True)
@@ -118,7 +120,7 @@ def kalman_predictor_step(
         value = sum(half[i][j] * jnp.conj(f) for j, f in step[k].items())
         value = value - moved[i] * jnp.conj(moved[k]) / cast(s)
         after[i, k] = jnp.real(value) + states[i].driven if i == k else value
-    return step, [m / cast(s) for m in moved], s, after
+    return sees, step, [m / cast(s) for m in moved], s, after
 
 
 def multiply_pairs(factor: Number, pairs: Array) -> Array:
