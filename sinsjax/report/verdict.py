@@ -267,7 +267,7 @@ def build_short_report(
     bands = [] if study.is_recorded else [*iter_warnings_of_bands_below_noise(study)]
     band = [caution(line, "Band") for line in bands]
     others = [] if warnings_shown else [line for line in source.warnings if line not in bands]
-    doubts = [*(caution(line, "Warning") for line in others), *_fit_cautions(source)]
+    doubts = [*(caution(line, "Warning") for line in others), *_gravity_fit_cautions(source)]
     if outcome and finds_heading(source) and not study.is_recorded:
         facts = [*band, *_external_program_heading_error_facts(outcome), *_answer_facts(outcome)]
         facts += [*doubts, *_caution_facts(outcome)]
@@ -421,7 +421,7 @@ def excessive_process_noise_caution(source: Results) -> Iterator[Fact]:
         )
 
 
-def _fit_cautions(source: Results) -> Iterator[Fact]:
+def _gravity_fit_cautions(source: Results) -> Iterator[Fact]:
     """Yield doubts about fits; about draws, if too large a share of them is doubtful."""
     if "gravity_fit" not in source.study.methods:
         return

@@ -76,16 +76,16 @@ class SearchSession(NamedTuple):
         return self.directory / name
 
 
-def sobol_box_points(study: Study, search_name: str, number: int, count: int) -> NDArray:
-    """Return scrambled Sobol box points of a combination of candidates, by its number; (count, p).
+def sobol_box_points(study: Study, search_name: str, combination: int, count: int) -> NDArray:
+    """Return scrambled Sobol points, 0 to 1, for the combination of that number; (count, p).
 
     The study's seed and the name of the search determine them; more do not change the first.
     """
     from scipy.stats import qmc  # late: it takes a second, and few studies need it
 
     space = SearchSpace.from_study(study)
-    seed = np.random.SeedSequence(study.seed, spawn_key=(*search_name.encode(), number))
-    used = len(space.used_variables(space.combinations[number]))
+    seed = np.random.SeedSequence(study.seed, spawn_key=(*search_name.encode(), combination))
+    used = len(space.used_variables(space.combinations[combination]))
     engine = qmc.Sobol(used, rng=np.random.Generator(np.random.PCG64(seed)))
     # A single point first, because scipy warns if the first call is not for 2^m points.
     return np.concatenate([engine.random(1), engine.random(count - 1)])
