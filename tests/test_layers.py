@@ -4,8 +4,6 @@ import ast
 import graphlib
 from pathlib import Path
 
-import sinsjax
-
 # The ground floor first. A folder stands for all of its modules.
 FLOORS = """errors messages types units
 analysis columns maths platform
@@ -30,7 +28,7 @@ def imported(path: Path) -> set[str]:
     return plain | {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
 
 
-ROOT = Path(sinsjax.__file__).parent
+ROOT = Path(__file__).parents[1] / "sinsjax"
 PATHS = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for p in ROOT.rglob("*.py")}
 IMPORTS = {name.removesuffix(".__init__"): imported(path) for name, path in PATHS.items()}
 del IMPORTS["__init__"]  # the package itself, which offers names of all floors
