@@ -315,7 +315,7 @@ def ideal_sample(
         waves.append((sin, cos, 2 * jnp.pi / sway.period, sin_cos(angle), turn))
 
     def at_node(ahead: Nodes, node: Any, sign: float) -> InBody:
-        def sines_and_rates_of_angle(wave: tuple, advance: Any, added: AngleRates | None) -> tuple:
+        def angle_and_its_derivatives(wave: tuple, advance: Any, added: AngleRates | None) -> tuple:
             sin, cos, omega, here, turn = wave
             later, versed = sign * advance[0], advance[1]
             change = sin * versed + cos * later
@@ -328,7 +328,7 @@ def ideal_sample(
             return (s * dc + c * ds, c * dc - s * ds), rate, bend
 
         added = added_at(sign * node) if motion.turns else (None,) * 3
-        now, rates, bends = zip(*map(sines_and_rates_of_angle, waves, ahead, added), strict=True)
+        now, rates, bends = zip(*map(angle_and_its_derivatives, waves, ahead, added), strict=True)
         turned = table and table(sign * node)
         return _motion_in_body(place, motion.lever, now, rates, bends, turned)
 

@@ -37,7 +37,7 @@ from sinsjax.study.sweep import (
     correctable_errors,
     read_sweep,
     read_tune_section,
-    refuse_exclusive_keys,
+    refuse_alternatives_given_together,
     without_gone_settings,
 )
 
@@ -147,8 +147,8 @@ def _read_study(data: TomlTable, name: str) -> Study:
     }
     table_of = {key: f"[{name}]" for name in given for key in tables[name]}
     with errors.collect():
-        refuse_exclusive_keys(table_of)  # also those of which each case has one
-        refuse_exclusive_keys(table_of | sweep.table_of)
+        refuse_alternatives_given_together(table_of)  # also those of which each case has one
+        refuse_alternatives_given_together(table_of | sweep.table_of)
     defaults = values_of_omitted_keys(GivenKeys(given, sweep.values_varied))
     sections = {section: values | given.get(section, {}) for section, values in defaults.items()}
     sections["study"].setdefault("name", name)

@@ -226,7 +226,7 @@ def correctable_errors(error: ValidationError) -> list[ErrorDetails]:
     return [detail for detail in errors if detail["loc"] not in wholes]
 
 
-def refuse_exclusive_keys(table_of: Mapping[str, str]) -> None:
+def refuse_alternatives_given_together(table_of: Mapping[str, str]) -> None:
     """Refuse two keys that are alternatives, by the tables of all keys; each case may have one."""
     errors, reported = ErrorCollector(), set[str]()
     for first, second in (pair for section in SECTIONS.values() for pair in section.exclusive):
@@ -446,7 +446,7 @@ def read_tune_section(
             if name == "variables" and TIMES in own:
                 own.pop(COUNT, None)
             with errors.collect():
-                refuse_exclusive_keys({**varied, **own})
+                refuse_alternatives_given_together({**varied, **own})
             if name == "variables" and not given:
                 errors.add(f"{place}: has no key to tune (give one with its range)")
     variables = table["variables"] if isinstance(table.get("variables"), dict) else {}
