@@ -121,9 +121,9 @@ class Scenario:
         self.curves = study.study.curves if curves is None else curves
         self.variant_ids = list(_iter_program_variants(study))
 
-    def keys(self, number: int, variants: Any = slice(None)) -> Variants:
+    def keys(self, program: int, variants: Any = slice(None)) -> Variants:
         """Return the keys of a program, or of some of its variants, with their site."""
-        ids = self.variant_ids[number][variants]
+        ids = self.variant_ids[program][variants]
         site, micro_g = read_site(self.study, Variants(self.study, ids), self.stored)
         return Variants(self.study, ids, site=site, micro_g=micro_g)
 
@@ -133,9 +133,9 @@ class Scenario:
         Raises:
             InputError: the study has no such variant.
         """
-        for number, ids in enumerate(self.variant_ids):
+        for program, ids in enumerate(self.variant_ids):
             if len(found := np.flatnonzero(ids == variant_id)):
-                return number, int(found[0])
+                return program, int(found[0])
         text = f"has no variant {variant_id}, of {self.study.n_variants}"
         raise InputError(f"{self.study.name}: {text}")
 
@@ -152,7 +152,7 @@ class Scenario:
 
     def batch(
         self,
-        number: int,
+        program: int,
         draws: range | None = None,
         *,
         variants: Any = slice(None),
@@ -161,7 +161,7 @@ class Scenario:
         """Return the runs of a program, on all draws or a range of them.
 
         Args:
-            number: of the program.
+            program: its number.
             draws: range of draws; None for all.
             variants: places of variants, as an index.
             blank: whether the truth of a simulation is replaced by zeros, enough to compile.
@@ -169,14 +169,14 @@ class Scenario:
         Raises:
             InputError: a record that does not fit the study.
         """
-        keys = self.keys(number, variants)
+        keys = self.keys(program, variants)
         if self.stored is None:
             draws = range(self.study.n_draws) if draws is None else draws
             environment, drawn = _simulated_inputs(self.study, keys, draws, blank=blank)
         else:
             environment, drawn = _environment_and_draws_by_start_time(self.study, keys, self.stored)
         params = _run_params(self.study, keys)
-        return Batch(self.specs[number], environment, drawn, params, keys.ids)
+        return Batch(self.specs[program], environment, drawn, params, keys.ids)
 
 
 def _iter_program_variants(study: Study) -> Iterator[np.ndarray]:
@@ -185,9 +185,9 @@ def _iter_program_variants(study: Study) -> Iterator[np.ndarray]:
     swept = [key for key in study.axis_keys if key in keys]
     swept += ["reset_trigger"] if study.names_schedules else []
     codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
-    _, first, part = np.unique(codes, return_index=True, return_inverse=True)
-    in_order = np.argsort(part, kind="stable")
-    ids = np.split(in_order, np.cumsum(np.bincount(part))[:-1])
+    _, first, program = np.unique(codes, return_index=True, return_inverse=True)
+    in_order = np.argsort(program, kind="stable")
+    ids = np.split(in_order, np.cumsum(np.bincount(program))[:-1])
     yield from (ids[number] for number in np.argsort(first))
 
 

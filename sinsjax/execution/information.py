@@ -99,11 +99,11 @@ def information_bound(study: Study | str | Path) -> pa.Table:
     codes = study.coded(*swept).codes if swept else np.zeros(study.n_variants, int)
     bounds: dict[tuple[int, float], list[tuple[float, float]]] = {}
     rows: list[tuple[int, float, float]] = []
-    for part, ids in enumerate(scenario.variant_ids):
-        base = int(codes[ids[0]]), float(ends[ids[0]])  # of all variants of a part
+    for program, ids in enumerate(scenario.variant_ids):
+        base = int(codes[ids[0]]), float(ends[ids[0]])  # of all its variants
         if base not in bounds:
             times = sorted({*(t for t in study.report_times_s if t < base[1]), base[1]})
-            sigmas = heading_bound(times, _heading_problem(scenario, part)) / ARCMIN
+            sigmas = heading_bound(times, _heading_problem(scenario, program)) / ARCMIN
             bounds[base] = list(zip(times, sigmas, strict=True))
         rows += [(variant, *row) for variant in ids for row in bounds[base]]
     values = [pa.array(column) for column in zip(*sorted(rows), strict=True)]
@@ -144,14 +144,16 @@ def _with_swing_by_rounded_rates(problem: HeadingProblem, arm: Any, arcsec: Any)
     )
 
 
-def _heading_problem(scenario: Scenario, part: int, *, for_budget: bool = False) -> HeadingProblem:
-    """Return the base and the sensors of a part, for its bound or for a budget of it."""
+def _heading_problem(
+    scenario: Scenario, program: int, *, for_budget: bool = False
+) -> HeadingProblem:
+    """Return the base and the sensors of a program, for its bound or for a budget of it."""
     study = scenario.study
-    environment = scenario.batch(part, range(1), blank=True).environment
+    environment = scenario.batch(program, range(1), blank=True).environment
     place, errors = environment.site.place, environment.errors
     if not np.all(errors.accel_noise):
         raise InputError("[sensors] accel_noise_ug: the information bound needs white noise")
-    variants, dt = scenario.keys(part), 1 / study.rate_hz
+    variants, dt = scenario.keys(program), 1 / study.rate_hz
     motion = read_rotation(variants)._replace(lever=None)
     draws_errors = any(key in _CONSTANT_KEYS for key in study.drawn_keys)
     still = not (for_budget or motion.turns or draws_errors)

@@ -17,7 +17,7 @@ from sinsjax.study.sweep import CodedColumn
 from sinsjax.units import si_factor
 
 Lookup = Callable[[str], Any]
-"""Function of a key that returns its common value in all variants of a part, or its draws."""
+"""Function of a key that returns its common value in all variants of a program, or its draws."""
 
 
 class Variants:
@@ -64,7 +64,7 @@ class Variants:
         return self.coded(*keys).map(function if len(keys) == 1 else lambda row: function(*row))
 
     def value(self, key: str, variant: int) -> Any:
-        """Return the value of a key in the variant with this index in the part."""
+        """Return the value of a key in the variant with this index in the program."""
         codes, choices = self.study.coded(key)
         return choices[codes[self.ids[variant]]]
 
