@@ -197,12 +197,12 @@ class Advice:
     """Advice for an IMU; made by `sinsjax.advise`.
 
     Attributes:
-        sheet: what was asked.
+        sheet: the data sheet, its conditions and requirements.
         choice: the method and its settings.
         budget: variance of the method's heading by source, over time.
-        headings: heading error to expect at each time of the budget.
-        sigma: 1 sigma of the heading at the time asked for, rad, before it is wrapped.
-        bound_arcmin: information bound of the heading at the time asked for, 1 sigma of linear
+        headings: expected heading error at each time of the budget.
+        sigma: 1 sigma of the heading at the available time, rad, before it is wrapped.
+        bound_arcmin: information bound of the heading at the available time, 1 sigma of linear
             theory, arcmin.
         turns: the base as it is, and turned in usual ways, with the same method; None if the sheet
             turns the base itself.
@@ -222,12 +222,12 @@ class Advice:
 
     @property
     def time_s(self) -> float:
-        """Time that there is to align, s."""
+        """Available alignment time, s."""
         return self.sheet.asked.time_s
 
     @property
     def heading(self) -> Heading:
-        """The heading error to expect at the time asked for."""
+        """The expected heading error at the available time."""
         return next(one for one in self.headings if one.time_s == self.time_s)
 
     @property
@@ -237,12 +237,12 @@ class Advice:
 
     @cached_property
     def halved_rms_arcmin(self) -> float:
-        """Rms heading error at the time asked for, arcmin, with half of the dominant source."""
+        """Rms heading error at the available time, arcmin, with half of the dominant source."""
         return _rms_at_the_end(scale_source(self.sheet, self.dominant, 0.5))
 
     @property
     def loss(self) -> float:
-        """Error of the method over the bound at the time asked for."""
+        """Ratio of the method's error to the bound at the available time."""
         return self.sigma / (self.bound_arcmin * ARCMIN)
 
     @property
@@ -260,7 +260,7 @@ class Advice:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What can go wrong, a line each."""
+        """Cautions, one line each."""
         lines, motion, surging = [], self.sheet.motion, MOTIONS["surging"]
         if self.sigma > _NOT_FOUND:
             more = "; an IMU that is turned may find it (docs/turning.md)" if self.turns else ""
@@ -334,15 +334,15 @@ def advise(
     motion: str | None = None,
     changes: Mapping[str, Any] | None = None,
 ) -> Advice:
-    """Return what to expect of an IMU at rest, and what to do with it, without a Monte Carlo run.
+    """Return the expected heading error of an IMU at rest, its sources and the method to use.
 
     Args:
         sheet: file, or nested dictionaries: an ordinary study without an alignment. [sensors] has
             the noise of the data sheet, [drawn] the turn-on biases as ``{normal = [0.0, SIGMA]}``,
-            [earth] the latitude, [motion] what moves, and [advise] ``time_s`` and ``wanted_deg``.
+            [earth] the latitude, [motion] the motion, and [advise] ``time_s`` and ``wanted_deg``.
         imu: name of a shipped sheet instead, such as "kvh1775".
         latitude_deg: latitude, deg, in place of that of the sheet.
-        time_s: time that there is to align, s, likewise.
+        time_s: available alignment time, s, likewise.
         motion: "still", "rocking" or "surging", likewise; see `MOTIONS` for their numbers.
         changes: values by ``section.key`` that replace those of the sheet.
 

@@ -69,7 +69,7 @@ def score_results(
         directory: directory of the export, see `sinsjax.export_study`.
         results: CSV or Parquet file of the program's results; README.txt in the directory lists the
             columns.
-        name: of the program; None for the stem of the file.
+        name: name of the program; None for the stem of the file.
         on_progress: called with the progress of the study's own runs.
 
     Returns:

@@ -50,7 +50,7 @@ class TurnChoice(NamedTuple):
     """Motions of the base, compared by the heading error at the end.
 
     Attributes:
-        options: that fit into the time, "parked" first.
+        options: the motions that fit into the time, "parked" first.
 
     Examples:
         >>> choice = sinsjax.plan_turns(
@@ -130,7 +130,7 @@ def plan_turns(  # noqa: PLR0913
             arcsec.
 
     Raises:
-        InputError: a negative sigma, a density, latitude or time without meaning.
+        InputError: a sigma is negative, or a density, latitude or time is out of range.
 
     Examples:
         >>> fog = {"gyro_bias_deg_per_h": 0.1, "gyro_arw_deg_per_sqrt_h": 0.005}

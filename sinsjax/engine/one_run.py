@@ -106,12 +106,12 @@ def one_run(
         record: the record of a recorded study.
         variant_id: which variant of the study.
         window_s: None for resets at their times; else each is spread over a smooth window of this
-            half width, some tens of samples or more, so that outcomes have a gradient by the times.
+            half width, some tens of samples or more, so that the times have a gradient.
         sharpness: None for bands with a hard edge; else how sharp they are, 8 or so, so that
             settling times have a gradient.
 
     Raises:
-        InputError: the study has no such variant, the record does not fit, or resets that cannot be
+        InputError: the study has no such variant, the record does not fit, or the resets cannot be
             spread.
 
     Examples:

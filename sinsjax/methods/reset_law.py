@@ -49,7 +49,7 @@ import numpy as np
 
 from sinsjax.units import ARCMIN, DEG
 
-# Fitted to the cells R1 to R11 and L1 to L5 of `docs/reset_law.md`, not derived.
+# Fitted to measured settling times, not derived.
 _LEVELLING = 300.0
 """Variance ratio of level at which the early resets take place."""
 

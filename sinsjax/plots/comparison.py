@@ -46,7 +46,7 @@ def plot_compare(
 
     Args:
         runs: one row per run: a pyarrow Table such as `Results.summary`, or a pandas data frame.
-        key: key along the horizontal axis: numbers, or words and lists, which stand side by side.
+        key: key along the horizontal axis: numbers, or words and lists, placed side by side.
         by: key or keys of the lines; runs that differ in other keys share a line.
         statistics: statistics of `sinsjax.summarise` and the title of the panel of each, with its
             unit (shares become percent); by default the median times to the first band, the

@@ -48,7 +48,7 @@ SHEET_TABLES = ("study", "earth", "motion", "sensors", "drawn", "advise")
 def load_study(source: str | Path | Study, changes: Mapping[str, Any] | None = None) -> Study:
     """Read and check a study.
 
-    All functions that take a study take what this one takes.
+    Every function with a study argument accepts the same.
 
     Args:
         source: file, or else name of a shipped study (``sinsjax init --list``), or study.
