@@ -361,15 +361,16 @@ def _check_rate(motion: Motion, expected: StationaryValues, noise: float) -> Ite
     # A bias that leaves the magnitude right by chance is as large as those of such gyros are.
     off_earth = abs(motion.magnitude - earth)
     sigma = math.hypot(uncertainty / 3, off_earth, _BIAS_PER_ARW * noise / 60) / earth
-    is_elsewhere = is_quiet and abs(motion.latitude - expected.latitude) > 5 * sigma
-    if bias > largest + uncertainty or is_elsewhere:
+    off_latitude = abs(motion.latitude - expected.latitude)
+    if bias > largest + uncertainty or (is_quiet and off_latitude > 5 * sigma):
         accepted = math.ceil(10 * bias / DEG_PER_H) / 10
+        rate = f"{motion.magnitude / DEG_PER_H:.3g} deg/h, {motion.magnitude / earth:.3g} times"
+        place = f", of a latitude of {motion.latitude / DEG:.4g} deg, give or take"
+        place += f" {sigma / DEG:.2g}, and not {expected.latitude / DEG:.6g}"
         text = (
-            f"the mean rate is {motion.magnitude / DEG_PER_H:.3g} deg/h,"
-            f" {motion.magnitude / earth:.3g} times Earth rate, of a latitude of"
-            f" {motion.latitude / DEG:.4g} deg, give or take {sigma / DEG:.2g}, and not"
-            f" {expected.latitude / DEG:.6g}: are latitude_deg and the gyros' unit and scale right,"
-            f" or is there a gyro bias of {bias / DEG_PER_H:.3g} deg/h or more ([record]"
-            f" gyro_bias_deg_per_h = {accepted:g} if so)? Only the method 'level' is not affected"
+            f"the mean rate is {rate} Earth rate{place if off_latitude > sigma else ''}: are"
+            f" latitude_deg and the gyros' unit and scale right, or is there a gyro bias of"
+            f" {bias / DEG_PER_H:.3g} deg/h or more ([record] gyro_bias_deg_per_h = {accepted:g} if"
+            f" so)? Only the method 'level' is not affected"
         )
         yield Finding(False, text)
