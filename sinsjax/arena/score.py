@@ -292,8 +292,8 @@ def _iter_doubts(
         if error > _LEAST and now <= min(_BETTER * error, max(DEG, _MUCH_BETTER * error)):
             found.append((now, words))
     for now, words in sorted(found)[:1]:
-        told = f"the median error is {now / ARCMIN:.3g} arcmin instead of {error / ARCMIN:.3g}"
-        yield f"{words}? Read so, {told}"
+        effect = f"the median error is {now / ARCMIN:.3g} arcmin instead of {error / ARCMIN:.3g}"
+        yield f"{words}? Read so, {effect}"
 
 
 def _median_length(phi: NDArray) -> float:

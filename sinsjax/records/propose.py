@@ -1,4 +1,4 @@
-"""A layout for a file without a description: names tell, or the user is asked.
+"""A layout for a file without a description: names decide, or the user is asked.
 
 Columns, units and axes come from names, which are compared in lower case, word by word:
 ``GyroX [deg/s]`` is gyro, x and deg/s. Only gravity counts as evidence: for the unit of the
@@ -156,7 +156,7 @@ _LABEL = re.compile(
     r"(?=.)(sensor|imu|device|node|unit|source|topic|message|msg)?[ _.]?(id|name|type|no)?",
     re.IGNORECASE,
 )
-"""Names of columns that tell of which sensor a row is."""
+"""Names of columns that name the sensor of a row."""
 _HEAD_ROWS, _MAX_LABELS = 20, 5  # more are a count of the rows
 _NO_RATE = "increments show their unit once the sample rate is known"
 _TIME_NAME = re.compile(
@@ -233,7 +233,7 @@ def _read_means(table: Table, names: Sequence[str]) -> dict[str, float]:
 def _find_triad_or_ask(
     table: Table, sensor: str, answers: Mapping[str, Any], proposal: Proposal
 ) -> Triad | None:
-    """Return the columns of a sensor; None, and a question, if names do not tell."""
+    """Return the columns of a sensor; None, and a question, if names do not decide."""
     key = f"{sensor}_columns"
     triads = find_triads(answers.get(key, table.names), sensor, table.units)
     if key in answers:  # the user orders them, and their names state the unit
@@ -356,7 +356,7 @@ class _Clock(NamedTuple):
 
 
 def _propose_clock(table: Table, answers: Mapping[str, Any], taken: Collection[str]) -> _Clock:
-    """Return the first clock that names and steps of stamps tell, or one with a question."""
+    """Return the first clock that names and steps of stamps identify, or one with a question."""
     kinds, given = table.kinds, answers.get("time_column")
     dates = [name for name, kind in kinds.items() if kind == "dates with time"]
     names = [

@@ -21,7 +21,7 @@ _MAX_NESTING = 50  # a study has at most five
 
 
 class SetOptions(dict[str, Any]):
-    """The values of ``--set`` by place, whose user is told what else they drop."""
+    """The values of ``--set`` by place; a warning names what else they drop."""
 
 
 _print_warning_once = cache(print_warning)  # a command may read its study twice

@@ -1,7 +1,7 @@
 """A study for a record without a description: ``sinsjax init record --from log.csv``.
 
-What names or gravity tell has its reason as a comment. The rest is ``"?"``, with the evidence above
-it: the study runs once it is answered.
+What names or gravity determine has its reason as a comment. The rest is ``"?"``, with the evidence
+above it: the study runs once it is answered.
 """
 
 import json
