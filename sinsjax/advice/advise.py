@@ -269,12 +269,13 @@ class Advice:
             lines.append("beyond linear theory: 20 % more or less are possible")
         rotates = np.max(np.abs([motion.get(f"{a}_amplitude_deg", 0.0) for a in AXES]))
         if rotates > _ROTATES_DEG and not level_surge(motion.get("surge_m_per_s")):
+            rms = surging["surge_m_per_s"]
             moved = motion | {key: surging[key] for key in ("surge_m_per_s", "surge_time_s")}
             surged = replace(self.sheet, tables=self.sheet.tables | {"motion": moved})
             lines.append(
                 f"the base is assumed to rotate without moving: a surge of"
-                f" {surging['surge_m_per_s']:g} m/s rms would make it"
-                f" {format_angle(_rms_at_the_end(surged))} (--motion surging)"
+                f" {rms:g} m/s rms would make it"
+                f" {format_angle(_rms_at_the_end(surged))} (--set motion.surge_m_per_s={rms:g})"
             )
         return tuple(lines)
 

@@ -105,7 +105,7 @@ def _list_questions_and_next_command(text: str, path: Path, log: Path) -> Iterat
 
     if doubts := text.count(files.DOUBT):
         lines = "line" if doubts == 1 else "lines"
-        yield f"{doubts} {lines} with # DOUBT: {log} does not determine them."
+        yield f"{path} has {doubts} {lines} with # DOUBT to check."
     if keys := re.findall(r'^(\w+) = "\?"', text, re.MULTILINE):
         noun = "question" if len(keys) == 1 else "questions"
         yield f"{len(keys)} open {noun}: {', '.join(keys)}. Answer in {path}, or by --set; then"

@@ -77,11 +77,12 @@ def describe_success_criterion(study: Study) -> str:
     ends_s = np.array([s.records for s in study.distinct_spans]) * study.study.record_interval_s
     dwell_s = rule.dwell(ends_s)
     last = " to ".join(f"{s:g}" for s in sorted({dwell_s.min(), dwell_s.max()}))
+    there = "is there" if last == "0" else f"has been there for {last} s"
     aim = "true north" if rule.from_truth else "its bias floor (not of true north)"
     aim = "the reference's heading" if study.is_recorded else aim
     return (
         f"Settled: the heading stays within {rule.band_arcmin:g} arcmin (or the band given) of"
-        f" {aim} from then to the end of the run; ok: it has been there for {last} s at the end,"
+        f" {aim} from then to the end of the run; ok: it {there} at the end,"
         f" and the level errors end within {rule.level_band_arcmin:g} arcmin. Bias floor: the"
         " heading error caused by a run's own constant sensor biases."
     )

@@ -52,7 +52,7 @@ _SEEDS = 2**63
 def require_tune(study: Study) -> TuneSection:
     """Return the [tune] section of a study; an `InputError` if there is none."""
     if study.tune is None:
-        raise InputError(f"{study.name}: has no [tune] section")
+        raise InputError(f"{study.name}: has no [tune] section (`sinsjax init tune` writes one)")
     return study.tune
 
 

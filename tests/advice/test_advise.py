@@ -1,6 +1,7 @@
 """Advice: its numbers against draws and finite changes, what it writes and refuses, its doubts."""
 
 import json
+import re
 import tomllib
 from functools import cache
 
@@ -132,6 +133,14 @@ GOES_WRONG = {
 def test_what_can_go_wrong_is_a_warning(words):
     assert advise(STEADY).warnings == ()
     assert any(words in line for line in advise(STEADY | GOES_WRONG[words]).warnings)
+
+
+def test_warning_of_surge_names_the_change_that_gives_its_number():
+    turned = STEADY | GOES_WRONG["a surge of 0.1 m/s"] | {"motion.turn_times_s": [140.0]}
+    (line,) = advise(turned).warnings
+    number, key, value = re.search(r"make it (.+) \(--set (\S+)=(\S+)\)", line).groups()
+    surged = describe_advice(advise(turned | {key: float(value)}))
+    assert f"{number} rms from true north" in "\n".join(surged)
 
 
 @pytest.mark.parametrize(

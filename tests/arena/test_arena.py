@@ -257,7 +257,7 @@ FAULTS = {
     "row 4: repeats its run_id and time_s": text(ROW, "1,40,50,4,-7,DIGEST", ROW),
     "row 3: no run of the export has this run_id (see": text(ROW, "0.5,40,50,4,-7,DIGEST"),
     "row 2: column 'yaw_deg': is not finite (leave": text("0,40,nan,4,-7,DIGEST"),
-    "Row #2: CSV conversion error to double": text("0,40,north,4,-7,DIGEST"),
+    "column 3: Row #2: CSV conversion error to double": text("0,40,north,4,-7,DIGEST"),
     "row 3: an angle is beyond 1e+06 deg": text(ROW, "1,40,50,1.1e6,-7,DIGEST"),
     "row 2: time_s is beyond its run, 0 to 40 s": text("0,41,50,4,-7,DIGEST"),
     "Row #4: Expected 6 columns, got 3": text(ROW, "1,39,50,4,-7,DIGEST", "1,40,50"),

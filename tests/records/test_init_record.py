@@ -212,6 +212,12 @@ def test_open_question_is_refused_until_answered(body, sinsjax, tmp_path):
     assert error.startswith("Warning: log.csv: 0 to ") and error.count("\n") == 1
 
 
+def test_doubts_are_counted_in_their_file(body, sinsjax, tmp_path):
+    write(tmp_path / "log.csv", [np.delete(v, 500, axis=0) for v in (TIME, *body)])
+    told = sinsjax("init", "record", "--from", "log.csv")[1]
+    assert "log.toml has 1 line with # DOUBT to check." in told
+
+
 @pytest.mark.parametrize(
     ("column", "labels"),
     [("a", ("UncalAccel", "UncalGyro")), ("type", ("IMU", "GPS")), ("sensor_id", ("7.5", "1.5"))],

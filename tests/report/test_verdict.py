@@ -149,10 +149,11 @@ def test_headings_too_far_east_are_not_within_the_band_at_the_end():
 
 
 def test_report_prints_verdict_alone_until_all_tables_are_asked_for(tmp_path):
-    study = small_study(study={"draws": 8}, axes={"phi_u0_deg": [0.0, 30.0]})
+    study = small_study(study={"draws": 8, "dwell_s": 0.0}, axes={"phi_u0_deg": [0.0, 30.0]})
     directory = store_results(tmp_path / "out", study, synthetic_summary(study))
     short = report_text(directory, full=False, width=80)
     assert len(short.splitlines()) <= 18 and "Every variant" not in short and "--full" in short
     assert all(len(line) <= 80 or str(tmp_path) in line for line in short.splitlines())
     full = report_text(directory)
     assert "Every variant" in full and "Heading error from true north" in full
+    assert "ok: it is there at the end" in " ".join(full.split())
