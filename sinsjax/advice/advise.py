@@ -72,6 +72,7 @@ _MOST_TIMES = 60
 _COARSE, _NOT_FOUND = 0.1, 0.5  # rad, above which errors are not small, and show no north
 _ROTATES_DEG = 0.5
 _LEAST_SHOWN = 0.005  # share of a source
+_LOSES = 2.0  # error of a filter over the bound from which a fit may be better
 _PAYS = 0.8  # largest share of the error that turns leave, if they pay
 _HEADER = """\
 # Written by sinsjax advise: the sheet with the method it names, to be confirmed by
@@ -141,9 +142,8 @@ def sheet_problem(sheet: Sheet) -> HeadingProblem:
     The bound does not depend on the rate of the data, but a round one makes whole steps.
     """
     drawn = {key: law for key, law in sheet.tables["drawn"].items() if key != "yaw_center_deg"}
-    motion = {"yaw_center_deg": 0.0} | sheet.motion
-    if "attitude_file" in motion:
-        del motion["yaw_center_deg"]
+    heading = {} if "attitude_file" in sheet.motion else {"yaw_center_deg": 0.0}
+    motion = heading | sheet.motion
     sections = {"alignment": {"method": "inertial"}, "motion": motion, "drawn": drawn}
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
     settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1}
@@ -273,10 +273,12 @@ class Advice:
             moved = motion | {key: surging[key] for key in ("surge_m_per_s", "surge_time_s")}
             surged = replace(self.sheet, tables=self.sheet.tables | {"motion": moved})
             lines.append(
-                f"the base is assumed to rotate without moving: a surge of"
-                f" {rms:g} m/s rms would make it"
+                f"the base is assumed to rotate only: a surge of {rms:g} m/s rms would make it"
                 f" {format_angle(_rms_at_the_end(surged))} (--set motion.surge_m_per_s={rms:g})"
             )
+        if self.choice.method == _FILTER and self.loss > _LOSES:
+            text = f"{_FILTER} does not model the {SOURCES[self.dominant].words}"
+            lines.append(f"{text}: try {_FIT} on the study that --study writes")
         return tuple(lines)
 
     def study(self) -> str:
@@ -285,10 +287,9 @@ class Advice:
         settings = {"success_band_arcmin": band, "settle_bands_arcmin": [band]}
         sections = self.choice.sections
         if self.choice.method == _FILTER:
-            anywhere = {"phi_u0_deg": {"uniform": [-180.0, 180.0]}}
             sections = sections | {
                 "alignment": sections["alignment"] | {"misalignment": "euler"},
-                "drawn": self.sheet.tables["drawn"] | anywhere,
+                "drawn": self.sheet.tables["drawn"] | {"phi_u0_deg": {"uniform": [-180.0, 180.0]}},
             }
         tables = self.sheet.study_tables(sections, judged_from="truth", **settings)
         return f"{_HEADER}\n\n{tomli_w.dumps(tables)}"

@@ -383,8 +383,7 @@ def _external_program_heading_error_facts(outcome: SweepOutcome) -> Iterator[Fac
             larger, smaller, word = smaller, larger, "less"
         difference = analysis.mean_difference(larger, smaller, outcome.clusters)
         text += f", on the same draws {format_heading_error(difference)}' {word} than that of"
-        text += f" {outcome.options[best]}, the most accurate of sinsjax"
-        yield Fact("Program", text)
+        yield Fact("Program", f"{text} {outcome.options[best]}, the most accurate of sinsjax")
 
 
 def _caution_facts(outcome: SweepOutcome) -> Iterator[Fact]:
