@@ -135,12 +135,13 @@ def test_what_can_go_wrong_is_a_warning(words):
     assert any(words in line for line in advise(STEADY | GOES_WRONG[words]).warnings)
 
 
-def test_warning_of_surge_names_the_change_that_gives_its_number():
+def test_warning_of_surge_names_the_change_that_gives_its_number_and_another_method():
     turned = STEADY | GOES_WRONG["a surge of 0.1 m/s"] | {"motion.turn_times_s": [140.0]}
     (line,) = advise(turned).warnings
     number, key, value = re.search(r"make it (.+) \(--set (\S+)=(\S+)\)", line).groups()
-    surged = describe_advice(advise(turned | {key: float(value)}))
-    assert f"{number} rms from true north" in "\n".join(surged)
+    surged = advise(turned | {key: float(value)})
+    assert f"{number} rms from true north" in "\n".join(describe_advice(surged))
+    assert "try gravity_fit" in surged.warnings[-1]
 
 
 @pytest.mark.parametrize(
