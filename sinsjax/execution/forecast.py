@@ -14,7 +14,7 @@ import pyarrow as pa
 from rich.filesize import decimal
 
 from sinsjax.columns import Column
-from sinsjax.engine.batch import CHUNK_RECORDS, LANES, STACKED_TILES
+from sinsjax.engine.batch import CHUNK_RECORDS, LANES, MOST_PROGRAMS, STACKED_TILES
 from sinsjax.engine.scenario import MOST_STORED_SAMPLES, PROGRAM_KEYS
 from sinsjax.errors import InputError
 from sinsjax.execution import tables
@@ -29,9 +29,9 @@ from sinsjax.study.study import Study
 # of a descent's step per sample, which few runs take in turn; to trace a descent.
 _START_S, _PROCESS_COMPILE_S, _DESCENT_SAMPLE_S, _TRACE_S = 4.0, 3.0, 15e-6, 2.0
 
-# Measured memory, bytes: of a process with JAX, and per sample, variant, run, row of curves, sample
-# that a draw keeps for further passes, and point of a search.
-_BASE_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES = 400e6, 160, 600, 2
+# Measured memory, bytes: of a process with JAX, and per program and core, sample, variant, run, row
+# of curves, sample that a draw keeps for further passes, and point of a search.
+_BASE_BYTES, _PROGRAM_BYTES, _SAMPLE_BYTES, _VARIANT_BYTES, _RUN_BYTES = 340e6, 30e6, 160, 600, 2
 _RECORD_BYTES, _KEPT_BYTES, _POINT_BYTES = 500, 48, 2000
 
 _NUMBER_BYTES = 6.4  # on disk: 0.6 to 0.95 of eight, with and without nulls
@@ -118,7 +118,9 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
     samples = records * study.record_every
     # Longer simulations do not store their increments.
     stored_samples = samples if study.is_recorded else min(samples, MOST_STORED_SAMPLES)
-    memory = _BASE_BYTES + _SAMPLE_BYTES * stored_samples
+    methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
+    kept_programs = min(programs * runtime.usable_cores(), MOST_PROGRAMS)
+    memory = _BASE_BYTES + _PROGRAM_BYTES * kept_programs + _SAMPLE_BYTES * stored_samples
     memory += _VARIANT_BYTES * variants + _RUN_BYTES * runs
     if study.passes and study.is_active(*keys_acting_as("process", "quantum")):
         read_samples = max(span.records_read for span in study.distinct_spans) * study.record_every
@@ -128,7 +130,6 @@ def _forecast_runs(study: Study, variants: int, runs: int, *, curves: bool) -> F
     if curves:
         run_bytes += records * _row_bytes(study, tables.curve_columns(study))
         memory += _RECORD_BYTES * min(runs * records, max(CHUNK_RECORDS, 2 * records))
-    methods, programs = [METHODS[name] for name in study.methods], _count_programs(study)
     compile_s = sum(method.compile_s for method in methods) / len(methods)
     if study.is_active(*keys_acting_as("process")):
         compile_s += _PROCESS_COMPILE_S
