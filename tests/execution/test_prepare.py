@@ -92,7 +92,7 @@ def test_study_that_exceeds_disk_or_memory_is_refused_without_listing_runs(has, 
     with limit_memory_mb(200), pytest.raises(InputError, match=line):  # a list of runs is 7,000
         package.run_into(small_study(study={"draws": 1000}, axes=axes), out)
     has(memory=5e8)
-    line = "^study: 896,000 runs need about .*MB of memory, but there are only 500.0 MB$"
+    line = "^study: 896,000 runs need about .*B of memory, but there are only 500.0 MB$"
     with pytest.raises(InputError, match=line):
         package.run_into(small_study(study={"draws": 1}, axes=axes), out)
     assert not out.exists()
@@ -124,4 +124,6 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(has, tmp_path):
 )
 def test_forecast_program_count_matches_engine(axes, programs):
     study = small_study(axes=axes)
-    assert forecast.forecast_sweep(study).programs == programs == len(set(Scenario(study).specs))
+    found, least = (forecast.forecast_sweep(one) for one in (study, small_study()))
+    assert found.programs == programs == len(set(Scenario(study).specs))
+    assert (found.memory - least.memory > 20e6) == (programs > 1)
