@@ -308,7 +308,7 @@ def _check_gyros(motion: Motion, expected: StationaryValues, noise: float) -> It
         angle = motion.tilt_change / DEG
         yield Finding(True, f"the vertical moves by {angle:.3g} deg in the body, and {hidden}")
     else:
-        yield Finding(False, f"{hidden}: no heading can be found", hides_north=True)
+        yield Finding(False, f"no heading can be found: {hidden}", hides_north=True)
 
 
 def _describe_hidden_north(motion: Motion, expected: StationaryValues) -> str:
