@@ -122,7 +122,8 @@ def test_tuning_is_refused_if_all_runs_exceed_disk_or_memory(has, tmp_path):
         ({"gyro_scale_ppm": [0, 10, 20]}, 2),
     ],
 )
-def test_forecast_program_count_matches_engine(axes, programs):
+def test_forecast_program_count_matches_engine(axes, programs, monkeypatch):
+    monkeypatch.setattr(forecast.runtime, "usable_cores", lambda: 2)
     study = small_study(axes=axes)
     found, least = (forecast.forecast_sweep(one) for one in (study, small_study()))
     assert found.programs == programs == len(set(Scenario(study).specs))
