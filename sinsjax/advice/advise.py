@@ -142,8 +142,9 @@ def sheet_problem(sheet: Sheet) -> HeadingProblem:
     The bound does not depend on the rate of the data, but a round one makes whole steps.
     """
     drawn = {key: law for key, law in sheet.tables["drawn"].items() if key != "yaw_center_deg"}
-    heading = {} if "attitude_file" in sheet.motion else {"yaw_center_deg": 0.0}
-    motion = heading | sheet.motion
+    motion = {"yaw_center_deg": 0.0} | sheet.motion
+    if "attitude_file" in motion:
+        del motion["yaw_center_deg"]
     sections = {"alignment": {"method": "inertial"}, "motion": motion, "drawn": drawn}
     rate = _RATE_HZ * math.ceil(float(motion.get("vibration_hz", 0.0)) / _RATE_HZ * 3 or 1)
     settings = {"rate_hz": rate, "duration_s": max(sheet.times_s), "draws": 1}
@@ -287,9 +288,10 @@ class Advice:
         settings = {"success_band_arcmin": band, "settle_bands_arcmin": [band]}
         sections = self.choice.sections
         if self.choice.method == _FILTER:
+            anywhere = {"phi_u0_deg": {"uniform": [-180.0, 180.0]}}
             sections = sections | {
                 "alignment": sections["alignment"] | {"misalignment": "euler"},
-                "drawn": self.sheet.tables["drawn"] | {"phi_u0_deg": {"uniform": [-180.0, 180.0]}},
+                "drawn": self.sheet.tables["drawn"] | anywhere,
             }
         tables = self.sheet.study_tables(sections, judged_from="truth", **settings)
         return f"{_HEADER}\n\n{tomli_w.dumps(tables)}"

@@ -194,8 +194,8 @@ def _read_table_and_first_row_number(path: Path, study_digest: str) -> tuple[pa.
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
     except (pa.ArrowException, UnicodeDecodeError) as error:
-        from_0 = r"In CSV column #(\d+)"
-        text = re.sub(from_0, lambda found: f"column {int(found[1]) + 1}", str(error))
+        # Arrow counts columns from 0, rows from 1.
+        text = re.sub(r"In CSV column #(\d+)", lambda m: f"column {int(m[1]) + 1}", str(error))
         raise InputError(f"{path}: {shorten(to_one_line(text), 200)}") from None
     needed = ("study", "run_id", "time_s", *(_QUATERNION if "q_w" in names else _ANGLES))
     if missing := [name for name in needed if name not in names]:
