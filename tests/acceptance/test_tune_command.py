@@ -172,7 +172,7 @@ def test_mistake_is_one_line_and_changes_nothing(made, sinsjax, tmp_path):
         (("sweep", config, "--overwrite", "-o", made), "is not a result"),
         (("tune", other, "--resume", "-o", made), "of another study: [tune] grid_points"),
         (("rerun", made, "--run-id", 1), f"give a folder of its runs: {made / 'evaluation'}"),
-        (("tune", config, "-o", "new", "--set", "tune={}"), "has no [tune] section (`sinsjax init"),
+        (("tune", config, "-o", "new", "--set", "tune={}"), "swing: has no [tune] section (`"),
     ):
         code, _, error = sinsjax(*words)
         assert (code, error.count("\n")) == (2, 1) and text in error

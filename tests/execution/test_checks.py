@@ -68,6 +68,7 @@ def test_wrong_accelerometer_unit_is_refused_and_named(swinging):
         # It would be Earth rate in other units, but not along the vertical.
         (1, [700 * DEG_PER_H / 100, 0, 0], {}, "hides Earth rate", True),
         (1, 0, {"latitude": 14.0}, "not 14:", False),
+        (1, np.array([0, 4, 4]) * DEG_PER_H / 100, {"gyro": 1.0}, "a gyro bias of 5.7", False),
         # The latitude of so biased gyros is too uncertain to be named.
         (1, np.array([0, 4, 4]) * DEG_PER_H / 100, {"gyro": 1.0}, "times Earth rate: are", False),
     ],

@@ -79,6 +79,7 @@ def has(monkeypatch):
     def has(disk=math.inf, memory=math.inf):
         monkeypatch.setattr(machine, "free_disk_bytes", lambda folder: float(disk))
         monkeypatch.setattr(machine, "available_memory_bytes", lambda: memory)
+        monkeypatch.setattr(forecast.runtime, "usable_cores", lambda: 2)
 
     return has
 
@@ -92,7 +93,7 @@ def test_study_that_exceeds_disk_or_memory_is_refused_without_listing_runs(has, 
     with limit_memory_mb(200), pytest.raises(InputError, match=line):  # a list of runs is 7,000
         package.run_into(small_study(study={"draws": 1000}, axes=axes), out)
     has(memory=5e8)
-    line = "^study: 896,000 runs need about .*B of memory, but there are only 500.0 MB$"
+    line = "^study: 896,000 runs need about .*MB of memory, but there are only 500.0 MB$"
     with pytest.raises(InputError, match=line):
         package.run_into(small_study(study={"draws": 1}, axes=axes), out)
     assert not out.exists()

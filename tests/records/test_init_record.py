@@ -214,8 +214,8 @@ def test_open_question_is_refused_until_answered(body, sinsjax, tmp_path):
 
 def test_doubts_are_counted_in_their_file(body, sinsjax, tmp_path):
     write(tmp_path / "log.csv", [np.delete(v, 500, axis=0) for v in (TIME, *body)])
-    told = sinsjax("init", "record", "--from", "log.csv")[1]
-    assert "log.toml has 1 line with # DOUBT to check." in told
+    printed = sinsjax("init", "record", "--from", "log.csv")[1]
+    assert "log.toml has 1 line with # DOUBT to check." in printed
 
 
 @pytest.mark.parametrize(
